@@ -223,7 +223,8 @@ class BodyStepper(Stepper):
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
         warnings = self._replaced_laws(setup)
-        return RunInputs(setup, bodies, free, warnings, self.controls, failure)
+        unknown = np.full(self.stops.unknowns, np.nan)
+        return RunInputs(setup, bodies, free, warnings, self.controls, unknown, failure)
 
     def _new_run(
         self, overrides: Mapping[str, float], tolerance: float, forces: bool, step: float = 0.0

@@ -6,7 +6,6 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from operator import attrgetter
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,7 +15,7 @@ from statechart.automaton.trace import Jump, Key, Trace, sizes
 from statechart.observation.sampling import at_times, sample_arcs
 from statechart.observation.scales import NO_SCALES, Scales
 from statechart.observation.scales import OutputValue as Output
-from statechart.observation.zeno_tails import drop_summed
+from statechart.observation.zeno_tails import resolved_events
 
 # Values below this fraction of all others are round-off of zero. In time stepping, velocities of a
 # stack at rest are 1.5e-12.
@@ -56,6 +55,7 @@ class Difference:
     named: Mapping[str, float]  # of every output, including lengths of lists
     decides: Compared  # the value with the largest difference
     diverged: float | None  # time of the first different mode or outcome
+    pairs: Sequence[tuple[Jump, Jump]]  # the common events
 
     @property
     def outputs(self) -> float:
@@ -125,6 +125,7 @@ def compare(
         {name: one.off for name, one in outputs.items()},
         _worst((state, delay, *outputs.values())),
         diverged,
+        pairs,
     )
 
 
@@ -155,12 +156,7 @@ def separation_time(reference: Trace, trace: Trace, *, brief: float = 0.0) -> fl
     times = np.concatenate(grids)
     if len(times) == 0 or not (reference.arcs and trace.arcs):
         return diverged
-    scale = _scales(reference, trace)
-    with np.errstate(invalid="ignore"):
-        differing = (
-            np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
-            > _PARTED_PART * scale
-        )
+    differing = _relative_differences(reference, trace, times) > _PARTED_PART
     where = np.flatnonzero(differing.any(axis=1))
     return float(times[where[0]]) if len(where) else diverged
 
@@ -182,9 +178,8 @@ def distance(reference: Trace, trace: Trace) -> float:
     place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     weights = np.repeat(lengths / counts, counts)
     times = np.minimum(np.repeat(marks[:-1], counts) + (place + 0.5) * weights, end)
-    with np.errstate(invalid="ignore"):
-        differences = np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
-    return float((weights @ differences / (end * _scales(reference, trace))).max(initial=0.0))
+    differences = _relative_differences(reference, trace, times)
+    return float((weights @ differences).max(initial=0.0) / end)
 
 
 def mode_disagreement(reference: Trace, trace: Trace) -> float:
@@ -214,23 +209,17 @@ def pair_jumps(
     """Pair the jumps of two runs; return the pairs, and the time of the first unpaired one.
 
     The number of resolved jumps of a Zeno sequence depends on the tolerance: jumps that one run
-    summed up are omitted (see `drop_summed`), and those after the accumulation of the other run
+    summed up are omitted (see `resolved_events`), and those after the accumulation of the other run
     are passed over.
     """
     pairs: list[tuple[Jump, Jump]] = []
-    a, b = coarse.jumps, fine.jumps
-    ends: set[int] = set()
-    unpaired = drop_summed([a, b])
-    if unpaired is not None:
-        ends = {id(jump) for run in unpaired for jump, end in run if end}
-        a, b = (tuple(jump for jump, _ in run) for run in unpaired)
+    events = resolved_events([coarse.jumps, fine.jumps])
+    a, b = ([event.jump for event in run] for run in events)
     window = brief * max(coarse.t_end, fine.t_end)
     i = j = 0
     while i < len(a) and j < len(b):
         one, other = a[i], b[j]
-        if _what(one) == _what(other) or (
-            {id(one), id(other)} <= ends and one.target == other.target
-        ):
+        if events[0][i].matches(events[1][j]):
             pairs.append((one, other))
             i, j = i + 1, j + 1
         elif _is_zeno(one) and _repeats(other, one):
@@ -279,18 +268,13 @@ def _jumps_until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Ju
         yield jump
 
 
-def _scales(reference: Trace, trace: Trace) -> Array:
-    """Return the sizes (n,) of variables in two runs; inf for round-off of zero."""
+def _relative_differences(reference: Trace, trace: Trace, times: Array) -> Array:
+    """Return the differences (m, n) of two runs in their sizes; 0 for round-off of zero."""
     scale = np.maximum(sizes(reference), sizes(trace))
     scale[scale <= _ZERO_PART * scale.max(initial=0.0)] = math.inf
-    return scale
-
-
-def _sampled_states(trace: Trace, times: Array) -> Array:
-    return sample_arcs(*at_times(trace, times)).states
-
-
-_what = attrgetter("region", "cause", "source", "target")
+    one, other = (sample_arcs(*at_times(run, times)).states for run in (reference, trace))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(one - other) / scale)
 
 
 def _is_zeno(jump: Jump) -> bool:

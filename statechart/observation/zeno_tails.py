@@ -3,25 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, TypeVar
+from operator import attrgetter
+from typing import NamedTuple
 
+import numpy as np
+
+from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Trace
 
 # Window of the truncated jumps, relative to the skipped time, before and after.
 _WINDOW = (0.5, 1.001)
 
 
-class _Timed(Protocol):
-    """Event with a time, and the time skipped after it."""
+_what = attrgetter("region", "cause", "source", "target")
+
+
+class Event(NamedTuple):
+    """A jump of a run for comparison; `ends` a Zeno sequence, after its last resolved jump."""
+
+    jump: Jump
+    ends: bool
+
+    def matches(self, other: Event) -> bool:
+        """Return whether two events are the same; ends of sequences may be of other regions."""
+        one, another = self.jump, other.jump
+        if self.ends and other.ends:
+            return one.target == another.target
+        return _what(one) == _what(another)
 
     @property
-    def t(self) -> float: ...
+    def numbers(self) -> Array:
+        """Time, state before, state after; only the latter at the end of a sequence."""
+        jump = self.jump
+        return np.concatenate([[jump.t], jump.after if self.ends else jump.before, jump.after])
 
-    @property
-    def skipped(self) -> float: ...
-
-
-Jumping = TypeVar("Jumping", bound=_Timed)
 
 # In time stepping, a bounce that is taken for rest has at most the velocity of two steps of free
 # fall, and lasts four steps.
@@ -54,35 +69,31 @@ def last_resolved(trace: Trace) -> list[Jump]:
     return list(found.values())
 
 
-def drop_summed(runs: Sequence[Sequence[Jumping]]) -> list[list[tuple[Jumping, bool]]] | None:
-    """Omit the jumps that at least one run skipped at the end of a Zeno sequence.
+def resolved_events(runs: Sequence[Sequence[Jump]]) -> list[list[Event]]:
+    """Return the events of runs, without those that at least one skipped in a Zeno sequence.
 
-    If regions bounce in turn, round-off decides at which of them the rest is skipped. Returns the
-    remaining jumps, and whether a sequence ends there (its state before is of the last resolved
-    jump). None if the runs did not skip the same sequences.
+    If regions bounce in turn, round-off decides at which of them the rest is skipped. All events
+    remain if the runs did not skip the same sequences.
     """
     sums = [[jump for jump in run if jump.skipped > 0.0] for run in runs]
-    if len(set(map(len, sums))) != 1:
-        return None
+    same = len(set(map(len, sums))) == 1
     windows = [
         (
-            _WINDOW[0] * min(j.skipped for j in same_series),
-            _WINDOW[1] * max(j.skipped for j in same_series),
+            _WINDOW[0] * min(jump.skipped for jump in alike),
+            _WINDOW[1] * max(jump.skipped for jump in alike),
         )
-        for same_series in zip(*sums, strict=True)
+        for alike in (zip(*sums, strict=True) if same else ())
     ]
-    return [
-        _resolved_jumps(run, run_sums, windows) for run, run_sums in zip(runs, sums, strict=True)
-    ]
+    return [_resolved(run, own, windows) for run, own in zip(runs, sums, strict=True)]
 
 
-def _resolved_jumps(
-    jumps: Sequence[Jumping], sums: Sequence[Jumping], windows: Sequence[tuple[float, float]]
-) -> list[tuple[Jumping, bool]]:
-    ends = [(jump.t + jump.skipped, *window) for jump, window in zip(sums, windows, strict=True)]
+def _resolved(
+    jumps: Sequence[Jump], sums: Sequence[Jump], windows: Sequence[tuple[float, float]]
+) -> list[Event]:
+    ends = [(end.t + end.skipped, *window) for end, window in zip(sums, windows, strict=False)]
     found = []
     for jump in jumps:
         left = [(end - jump.t, least, most) for end, least, most in ends]
         if not any(least <= time <= most for time, least, most in left):
-            found.append((jump, any(abs(time) < least for time, least, _ in left)))
+            found.append(Event(jump, any(abs(time) < least for time, least, _ in left)))
     return found
