@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from typing import NamedTuple, TypeAlias
@@ -12,16 +12,15 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace, sizes
+from statechart.observation.alignment import pair_jumps
 from statechart.observation.sampling import at_times, sample_arcs
 from statechart.observation.scales import NO_SCALES, Scales
 from statechart.observation.scales import OutputValue as Output
-from statechart.observation.zeno_tails import resolved_events
 
 # Values below this fraction of all others are round-off of zero. In time stepping, velocities of a
 # stack at rest are 1.5e-12.
 _ZERO_PART = 1e-11
 _PARTED_PART = 1e-2  # relative difference of separated runs
-_MAX_PASSED_OVER = 64  # jumps
 _TIMES_BETWEEN = 16  # samples between two events, for separation
 _TIMES_ALONG, _MIN_TIMES = 512, 2  # samples of the distance, in a run and between two events
 
@@ -203,71 +202,6 @@ def mode_disagreement(reference: Trace, trace: Trace) -> float:
     return float(np.diff(marks) @ (one != other)) / end
 
 
-def pair_jumps(
-    coarse: Trace, fine: Trace, *, brief: float = 0.0
-) -> tuple[list[tuple[Jump, Jump]], float | None]:
-    """Pair the jumps of two runs; return the pairs, and the time of the first unpaired one.
-
-    The number of resolved jumps of a Zeno sequence depends on the tolerance: jumps that one run
-    summed up are omitted (see `resolved_events`), and those after the accumulation of the other run
-    are passed over.
-    """
-    pairs: list[tuple[Jump, Jump]] = []
-    events = resolved_events([coarse.jumps, fine.jumps])
-    a, b = ([event.jump for event in run] for run in events)
-    window = brief * max(coarse.t_end, fine.t_end)
-    i = j = 0
-    while i < len(a) and j < len(b):
-        one, other = a[i], b[j]
-        if events[0][i].matches(events[1][j]):
-            pairs.append((one, other))
-            i, j = i + 1, j + 1
-        elif _is_zeno(one) and _repeats(other, one):
-            j += 1
-        elif _is_zeno(other) and _repeats(one, other):
-            i += 1
-        else:
-            next_match = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
-            if next_match is None:
-                return pairs, min(one.t, other.t)
-            i, j = next_match
-    remainder = (*a[i:], *b[j:])
-    if not remainder:
-        return pairs, None
-    ended = remainder[0].t
-    passed = 0.0 <= remainder[-1].t - ended < window and remainder[-1].target == remainder[0].source
-    return pairs, None if passed else ended
-
-
-def _next_common_mode(
-    a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float
-) -> tuple[int, int] | None:
-    """Return the nearest indices in both runs, within `window`, after which their modes agree."""
-    limit = min(a[i].t, b[j].t) + window
-    after_a = [a[i].source, *(jump.target for jump in _jumps_until(a, i, limit))]
-    after_b = [b[j].source, *(jump.target for jump in _jumps_until(b, j, limit))]
-    for total in range(1, len(after_a) + len(after_b) - 1):
-        for p in range(max(0, total - len(after_b) + 1), min(total, len(after_a) - 1) + 1):
-            if after_a[p] == after_b[total - p] and _resumes_together(
-                a, b, i + p, j + total - p, window
-            ):
-                return i + p, j + total - p
-    return None
-
-
-def _resumes_together(a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float) -> bool:
-    if i < len(a) and j < len(b):
-        return abs(a[i].t - b[j].t) <= window
-    return i == len(a) and j == len(b)
-
-
-def _jumps_until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
-    for jump in islice(jumps, start, start + _MAX_PASSED_OVER):
-        if jump.t > limit:
-            return
-        yield jump
-
-
 def _relative_differences(reference: Trace, trace: Trace, times: Array) -> Array:
     """Return the differences (m, n) of two runs in their sizes; 0 for round-off of zero."""
     scale = np.maximum(sizes(reference), sizes(trace))
@@ -275,15 +209,6 @@ def _relative_differences(reference: Trace, trace: Trace, times: Array) -> Array
     one, other = (sample_arcs(*at_times(run, times)).states for run in (reference, trace))
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(one - other) / scale)
-
-
-def _is_zeno(jump: Jump) -> bool:
-    return jump.fired == ("zeno",)
-
-
-def _repeats(jump: Jump, end: Jump) -> bool:
-    """Return whether `jump` belongs to the Zeno sequence that ends in `end`."""
-    return jump.region == end.region and not _is_zeno(jump)
 
 
 def _differences(

@@ -29,6 +29,7 @@ from statechart.execution import compiled_loop as loop
 from statechart.execution.compiled_loop import Batch, BatchResult, Packed
 from statechart.execution.simulator import Simulator
 from statechart.kernels.jit import entry, is_ready
+from statechart.observation.alignment import last_resolved
 from statechart.observation.observer import FormulaLike, Observer
 from statechart.observation.output_kernels import (
     NORMAL,
@@ -51,7 +52,6 @@ from statechart.observation.sampling import (
     visible_expressions,
 )
 from statechart.observation.scales import OutputValue, RunScales, Scales
-from statechart.observation.zeno_tails import last_resolved
 
 Formula: TypeAlias = "FormulaLike | Callable[[Key], FormulaLike | None]"
 """A formula, or a function of the mode; None where undefined."""

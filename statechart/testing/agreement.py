@@ -16,7 +16,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace, sizes
-from statechart.observation.zeno_tails import Event, resolved_events
+from statechart.observation.alignment import Event, resolved_events
 
 NUDGE = 1e-7
 """Relative perturbation of parameters; above the errors of the runs."""
