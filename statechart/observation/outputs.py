@@ -1,8 +1,8 @@
 """Declared outputs, accumulated over the arcs and jumps of runs.
 
-Formulas are compiled to tapes for every kind of mode, and evaluated by one kernel
-(`output_kernels`) on the arrays of a compiled loop, for one run or hundreds. Arcs and jumps of
-other runs are packed into such arrays, piece by piece.
+Formulas are compiled to tapes for every kind of mode. One kernel (`output_kernels`) evaluates them
+on the arrays of a compiled loop, for one run or hundreds. Arcs and jumps of other runs are packed
+into such arrays, piece by piece. `OutputAccumulator` adds up the pieces of either.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from statechart.execution import compiled_loop as loop
 from statechart.execution.compiled_loop import Batch, BatchResult, Packed
 from statechart.execution.simulator import Simulator
 from statechart.kernels.jit import entry, is_ready
+from statechart.observation.alignment import last_resolved
 from statechart.observation.observer import FormulaLike, Observer
 from statechart.observation.output_kernels import (
     NORMAL,
@@ -51,7 +52,6 @@ from statechart.observation.sampling import (
     visible_expressions,
 )
 from statechart.observation.scales import OutputValue, RunScales, Scales
-from statechart.observation.zeno_tails import last_resolved
 
 Formula: TypeAlias = "FormulaLike | Callable[[Key], FormulaLike | None]"
 """A formula, or a function of the mode; None where undefined."""
@@ -72,29 +72,15 @@ class Outputs:
         if names is not None:
             declared = {name: output for name, output in declared.items() if name in names}
         self.names = tuple(declared)
-        self.at: list[tuple[str, Value, Moment]] = []
-        self.counts: list[tuple[str, tuple[Event, ...]]] = []
-        self.extremes: list[tuple[str, FormulaLike, int]] = []
-        self.start: dict[str, FormulaLike] = {}
-        self.end: dict[str, FormulaLike] = {}
-        self.integrals: dict[str, Integral] = {}
-        for name, output in declared.items():
-            match output:
-                case Value():
-                    moment = output.moment
-                    if moment.events:
-                        self.at.append((name, output, moment))
-                    else:
-                        values = self.end if moment.when == "end" else self.start
-                        values[name] = output.value
-                case Integral():
-                    self.integrals[name] = output
-                case Count():
-                    self.counts.append((name, output.events))
-                case Minimum():
-                    self.extremes.append((name, output.minimum, 0))
-                case Maximum():
-                    self.extremes.append((name, output.maximum, 1))
+        values = [(n, one, one.moment) for n, one in declared.items() if isinstance(one, Value)]
+        self.at = [one for one in values if one[2].events]
+        ends = [(name, one.value, moment.when) for name, one, moment in values if not moment.events]
+        self.start = {name: formula for name, formula, when in ends if when != "end"}
+        self.end = {name: formula for name, formula, when in ends if when == "end"}
+        self.integrals = {n: one for n, one in declared.items() if isinstance(one, Integral)}
+        self.counts = [(n, one.events) for n, one in declared.items() if isinstance(one, Count)]
+        self.extremes = [(n, o.minimum, 0) for n, o in declared.items() if isinstance(o, Minimum)]
+        self.extremes += [(n, o.maximum, 1) for n, o in declared.items() if isinstance(o, Maximum)]
         self.watched = (*dict.fromkeys(formula for _, formula, _ in self.extremes), *watched)
         waits = [moment.events for _, _, moment in self.at]
         self._waits = tuple(dict.fromkeys([*waits, *(events for _, events in self.counts)]))
@@ -191,27 +177,22 @@ class Outputs:
         first, last = spans[0][loop.EVENTS], spans[-1][loop.EVENTS_END]
         events, numbers = block.events[first:last].tolist(), block.numbers[first:last].tolist()
         for row, (span, end) in enumerate(zip(spans, ends, strict=True)):
-            flowed = (
-                set(block.arcs[span[loop.ARCS] : span[loop.ARCS_END], 1].tolist())
-                if self.watched
-                else ()
-            )
-            for j in range(span[loop.EVENTS_END] - span[loop.EVENTS]):
-                place = span[loop.EVENTS] + j - first
-                source, target, _, *codes = events[place]
-                key = (source, target, *codes, any(numbers[place][NORMAL:]))
-                verdict = verdicts.get(key)
-                if verdict is None:
-                    verdict = verdicts[key] = self.marks_of(jump_of(row, j))
-                marks.append((*verdict, j + 1 not in flowed))
+            flows = slice(span[loop.ARCS], span[loop.ARCS_END])
+            flowed = {*block.arcs[flows, 1].tolist()} if self.watched else ()
+            own = slice(span[loop.EVENTS] - first, span[loop.EVENTS_END] - first)
+            for j, (event, number) in enumerate(zip(events[own], numbers[own], strict=True)):
+                source, target, _, *codes = event
+                key = source, target, *codes, any(number[NORMAL:])
+                if key not in verdicts:
+                    verdicts[key] = self.marks_of(jump_of(row, j))
+                marks.append((*verdicts[key], j + 1 not in flowed))
             if end[loop.HOW] == loop.STOPPED:
                 kind = int(found.place[row, loop.N_MODE])
-                verdict = verdicts.get((kind,))
-                if verdict is None:
+                if (kind,) not in verdicts:
                     mode, state = batch.kinds[kind][0], found.final[row]
                     stop = Jump(0.0, 0, "", "stop", mode, mode, state, state)
-                    verdict = verdicts[kind,] = self.marks_of(stop)
-                marks.append((*verdict, 0))
+                    verdicts[kind,] = self.marks_of(stop)
+                marks.append((*verdicts[kind,], 0))
         return np.array(marks, np.uint8).reshape(len(marks), self.passed + 1)
 
     def tapes(

@@ -18,7 +18,7 @@ from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.execution.outcome import error_of
 from statechart.execution.perturbation import with_doubled_tolerances, with_shifted_start
 from statechart.loading.kind import load_entry
-from statechart.observation.difference import distance, pair_jumps, separation_time
+from statechart.observation.difference import distance, separation_time
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.accuracy import BRIEF, EvaluatedRun
@@ -246,9 +246,8 @@ def _tolerance(run: Run) -> float:
 def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, float | None]:
     """Return the errors of a run, and the time of its first mode other than the reference's."""
     found = reference.difference(run, reference.scales, brief=reference.brief(run))
-    pairs, _ = pair_jumps(reference.trace, run.trace, brief=reference.brief(run))
-    ours = run.energies([other for _, other in pairs])
-    theirs = reference.energies([one for one, _ in pairs])
+    ours = run.energies([other for _, other in found.pairs])
+    theirs = reference.energies([one for one, _ in found.pairs])
     energy = None
     if ours is not None and theirs is not None and found.state < math.inf:
         size = float(np.abs(theirs).max()) or 1.0
