@@ -7,7 +7,7 @@ of a sticking contact does, is zero up to round-off: `<=` and `>=` hold, `<` and
 Within a step margins are interpolated, by cubics (Hermite), or linearly in steps with impacts and
 where a rate is unknown: a warning names a guard that is true there, at neither end. An impact may
 leave a margin beyond the bound at which the motion turns it back, by the depth of the landing: such
-an atom is true if it is so at both ends. One that the impact changes is true if it is so at one.
+an atom is true if it is so at both ends. Those that it changes are as at one end or the other.
 """
 
 from __future__ import annotations
@@ -84,8 +84,9 @@ class StepTruths:
         # Atoms at the end of the last step, and those at zero there and a step before.
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
         self._start = np.full((1, count), np.nan)
-        # Atoms on forces that the last steps do not know, and guards that were true but for these.
-        self._forced = np.zeros(count, np.bool_)
+        # In the last steps that do not know forces: atoms on these, other atoms that were true, and
+        # guards that were true but for the first.
+        self._forced, self._known = np.zeros((2, count), np.bool_)
         self._hidden = np.zeros(len(watch.guards), np.bool_)
 
     def at(
@@ -102,6 +103,7 @@ class StepTruths:
         due, true, possible = self._guards(rows, np.tile(codes, (3, 1)))
         self._hidden |= possible & ~true
         self._forced |= unknown[0]
+        self._known |= ends.true[0] & unknown.any()
         return due, true
 
     def take(self, chunk: Chunk, start: float, codes: Ints) -> tuple[Bools, Bools]:
@@ -175,16 +177,18 @@ class StepTruths:
                 if unknown[k].any():
                     self._hidden |= possible[k]
                     self._forced |= unknown[k]
+                    self._known |= atoms[k]
                 else:
                     # What the forces are now they were in the steps that do not know them.
-                    [was] = self._guards(atoms[k : k + 1] | ~self._forced, codes[k : k + 1])
+                    rows = np.where(self._forced, atoms[k : k + 1], self._known)
+                    [was] = self._guards(rows, codes[k : k + 1])
                     for i in np.flatnonzero(self._hidden & was & ~true[k]).tolist():
                         name = self._watch.guards[i].name
                         found[name] = (
                             f"{name} is true before t = {start + (k + 1) * chunk.h:.6g}, in steps "
                             f"of {chunk.h:g} that do not know its forces; use a shorter step"
                         )
-                    self._hidden[:] = self._forced[:] = False
+                    self._hidden[:] = self._forced[:] = self._known[:] = False
         self._zero = np.vstack([self._zero[1:], self._at.near[:count]])[-2:]
         self._last, self._start = atoms[-1:], self._at.margins[count - 1 : count]
         return found
@@ -241,7 +245,8 @@ class StepTruths:
         first, last = self._all[k : k + 2]
         inside = np.where(np.abs(at) <= self._at.zero[k], last, at < 0.0)
         inside = np.where(self._turned[k], first & last, inside)
-        inside = np.where(self._jumped[k], first | last, inside)
-        rows = np.vstack([first, last, inside])
+        # The impact may be anywhere in the step.
+        parts = (np.where(self._jumped[k], side, inside) for side in (first, last))
+        rows = np.vstack([first, last, *parts])
         true = self._guards(rows, np.tile(self._codes[k], (len(rows), 1)))
         return true[2:].any(axis=0) & ~true[0] & ~true[1]
