@@ -1,4 +1,4 @@
-"""Initial penetration of bodies in each other and in surfaces; starts outside hollow circles."""
+"""Initial penetration of bodies in each other and in surfaces."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
-from contacts.rigid_bodies.declared_numbers import touchable_surfaces
-from contacts.rigid_bodies.prescribed_motion import Positions
+from contacts.rigid_bodies.declared_numbers import rotated, surface_title
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
-from contacts.scene.scene import Scene
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 
 # Allowed penetration, relative to the inscribed circle: a fast body moves about so far in a step of
@@ -81,7 +79,10 @@ def check_penetration(
         b, out = next(iter(deep)), _STUCK
     where = deepest_of(b)
     if contacts.is_covered(b):
-        b, where, out = _covering_pieces(detect, numbers, names, surfaces, initial, b, deep[b])
+        b, where, out = _covered(numbers, contacts, names, b, where)
+    kinds = zip(surfaces, numbers.surfaces.kinds.tolist(), strict=True)
+    if where in [surface_title(name) for name, kind in kinds if kind == HOLLOW]:
+        out += "; to touch a circle from outside, remove hollow"
     if len(deep) > _PAIR:
         out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     key = "start"
@@ -125,9 +126,8 @@ def _check_crowd(
     if len(members) < _CROWD or len(numbers.joints.bodies):
         return
     one = pieces.begins[:-1][members]
-    x, y, angle = numbers.motion(initial[None])[0][0, members].T
-    (u, v), cos, sin = pieces.middles[one].T, np.cos(angle), np.sin(angle)
-    centres = np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])
+    poses = numbers.motion(initial[None])[0][0, members]
+    centres = poses[:, :2] + rotated(poses[:, 2], pieces.middles[one])
     cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
     kinds = numbers.kinds[members]
     _, which, many = np.unique(
@@ -191,96 +191,20 @@ def _way_out(
     return ""
 
 
-def _covering_pieces(
-    detect: Detect,
-    numbers: BodyNumbers,
-    names: Sequence[str],
-    surfaces: Sequence[str],
-    initial: Array,
-    b: int,
-    margin: float,
+def _covered(
+    numbers: BodyNumbers, contacts: DetectedContacts, names: Sequence[str], b: int, where: str
 ) -> tuple[int, str, str]:
     """Return the inner body, the outer one, and advice, if pieces of the outer cover each other.
 
-    No face is left to touch: the outer one is that with which alone the body is as deep.
+    No face is left to touch, and so no contact shows a way out.
     """
-    moving, kinds = len(numbers.inverse), len(numbers.laws)
-    places = numbers.motion(initial[None])[0][0, :, :2]
-    spacing = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
-    reach = numbers.sizes[b] + numbers.sizes
-
-    def as_deep(obstacles: Sequence[int] | Ints, other: int = b) -> bool:
-        """Return whether it is as deep in these kinds and surfaces, without most free bodies."""
-        laws, state = np.full_like(numbers.laws, -1), initial.copy()
-        laws[:, obstacles] = numbers.laws[:, obstacles]
-        for i in range(numbers.free):
-            if i not in (b, other):
-                state[3 * i] += (i + 2.0) * spacing
-        gap = detect(numbers._replace(laws=laws), state).gaps[b]
-        return bool(gap <= (1.0 - _SAME_GAP) * margin)
-
-    prescribed = np.unique(numbers.kinds[moving:])
-    for kind in prescribed.tolist():
-        if as_deep([kind]):
-            owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
-            return b, f"body {owner!r} or a copy of it", _STUCK
-    others = np.setdiff1d(np.arange(kinds), prescribed)
-    for other in np.flatnonzero(np.hypot(*(places - places[b]).T) < reach[:moving]).tolist():
-        if other != b and as_deep(others, other):
-            one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
-            far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
-            return one, f"body {names[whole]!r}", far
-    far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
-    for s, surface in enumerate(surfaces):
-        if as_deep([kinds + s]):
-            return b, f"surface {surface!r}", far
-    every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
-    listed = ", ".join(repr(surfaces[s]) for s in every.tolist())
-    return b, f"surfaces {listed}", far.replace("from it", "from them")
-
-
-def check_containers(
-    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, paths: Positions
-) -> None:
-    """Check that bodies that collide with a hollow circle start in it, at `initial` (2 n,).
-
-    The scene has its bodies one by one, declared by `owners`; `paths` are the positions at the
-    start.
-
-    Raises `DeclarationProblem` if a body is too large, or starts outside.
-    """
-    names, surfaces = list(scene.bodies), numbers.surfaces
-    moving, frames = len(numbers.inverse), paths.frames[0]
-    poses = numbers.motion(initial[None])[0][0]
-    places = np.concatenate([poses, paths.poses[0], numbers.fixed])
-    for s, name in enumerate(touchable_surfaces(scene)):
-        if surfaces.kinds[s] != HOLLOW:
-            continue
-        x, y, radius, _ = surfaces.numbers[s].tolist()
-        carrier = int(surfaces.carriers[s])
-        u, v, angle = (frames[s] if carrier < 0 else places[carrier]).tolist()
-        cos, sin = math.cos(angle), math.sin(angle)
-        centre = np.array([u + cos * x - sin * y, v + sin * x + cos * y])
-        meets = numbers.laws[numbers.kinds[:moving], len(numbers.laws) + s] >= 0
-        members = [b for b in np.flatnonzero(meets).tolist() if b != carrier]
-        outside = []
-        for b in members:
-            own = slice(*numbers.pieces.begins[b : b + 2].tolist())
-            core = float(numbers.pieces.cores[own].max(initial=0.0))
-            if core > radius:
-                raise DeclarationProblem(
-                    f"body {names[b]!r} does not fit into {name!r}: it reaches {core:.6g} around "
-                    f"its centre, and the circle has a radius of {radius:.6g}",
-                    advice="make the circle larger, or the body smaller",
-                    loc=("bodies", owners[b], "shape"),
-                )
-            if math.hypot(*(places[b, :2] - centre)) >= radius:
-                outside.append(b)
-        if outside:
-            who = "every body" if len(outside) == len(members) else f"body {names[outside[0]]!r}"
-            raise DeclarationProblem(
-                f"{who} starts outside the hollow circle {name!r}",
-                advice=f"start bodies within {radius:.6g} of its centre; to touch a circle "
-                "from outside, remove hollow",
-                loc=("bodies", owners[outside[0]], "start"),
-            )
+    bodies, q = numbers.pieces.bodies, int(contacts.deepest[b])
+    if q >= len(bodies):
+        return b, where, f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
+    if bodies[q] >= len(numbers.inverse):
+        return b, where, _STUCK
+    pair = b, int(bodies[q])
+    one, whole = sorted(pair, key=lambda i: float(numbers.sizes[i]))
+    reach = float(numbers.sizes[[*pair]].sum())
+    far = f"start it {reach:.6g} from the centre of {names[whole]!r}, or move it out"
+    return one, f"body {names[whole]!r}", far

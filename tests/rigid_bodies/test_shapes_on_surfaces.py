@@ -339,15 +339,15 @@ def test_transformed_scenes_have_transformed_runs(change):
 @pytest.mark.parametrize(
     ("starts", "words"),
     [
-        ({"disc": at(0.0, 2.0)}, "every body starts outside the hollow circle 'drum'"),
-        ({"disc": at(0.0, 0.0), "box": at(0.0, 2.0)}, "body 'box' starts outside the hollow"),
-        ({"disc": "x: 0"}, "has a radius of 0.04"),
+        ({"disc": at(0.0, 2.0)}, "'disc' starts 1.05 deep in surface 'drum'; move it by"),
+        ({"disc": at(0.0, 0.0), "box": at(0.0, 2.0)}, "'box' starts .* deep in surface 'drum'"),
+        ({"disc": "x: 0"}, "0.01 deep in surface 'drum'; no small move frees it"),
     ],
 )
 def test_drum_bodies_must_start_inside(starts, words):
-    radius = 0.04 if "radius of" in words else 1
+    radius = 0.04 if "no small move" in words else 1
     text = scene(starts, {"drum": f"circle: [0, 0], radius: {radius}, hollow: true"})
-    with pytest.raises(DeclarationError, match=words):
+    with pytest.raises(DeclarationError, match=f"{words}.* remove hollow"):
         Runner(interpret(read_text(text))).run()
 
 
