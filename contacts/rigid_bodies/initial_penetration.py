@@ -48,8 +48,7 @@ def check_penetration(
 
     Raises `DeclarationProblem` if one is deeper.
     """
-    _check_places(numbers, names, owners, initial)
-    _check_crowd(numbers, names, owners, initial)
+    _check_copies(numbers, names, owners, initial)
     contacts = detect(numbers, initial)
 
     def deepest_of(b: int) -> str:
@@ -95,57 +94,45 @@ def check_penetration(
     )
 
 
-def _check_places(
+def _check_copies(
     numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
 ) -> None:
-    """Check that no two colliding copies start at the same place."""
-    moving = len(numbers.inverse)
-    poses = np.column_stack([numbers.kinds[:moving], numbers.motion(initial[None])[0][0]])
-    _, places, which = np.unique(poses, axis=0, return_index=True, return_inverse=True)
-    firsts = places[which.reshape(-1)]
-    for b in np.flatnonzero(firsts != np.arange(moving)).tolist():
-        kind = numbers.kinds[b]
-        if numbers.laws[kind, kind] >= 0:
-            raise DeclarationProblem(
-                f"bodies {names[firsts[b]]!r} and {names[b]!r} start at the same place",
-                advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
-                loc=("bodies", owners[b], "start"),
-            )
+    """Check that no colliding copies start at one place, and that most of many do not overlap.
 
-
-def _check_crowd(
-    numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
-) -> None:
-    """Check that most copies of a kind do not overlap, where moving a single one would not help.
-
-    Full detection would take many times as long. Two bodies whose inscribed circles have their
-    centres in one cell of this size overlap too deeply.
+    Then moving a single one would not help, and full detection would take many times as long. Two
+    bodies whose inscribed circles have their centres in one cell of this size overlap too deeply.
     """
     pieces = numbers.pieces
     members = np.flatnonzero(np.diff(pieces.begins[: len(numbers.inverse) + 1]))
-    if len(members) < _CROWD or len(numbers.joints.bodies):
-        return
-    one = pieces.begins[:-1][members]
+    one, kinds = pieces.begins[:-1][members], numbers.kinds[members]
     poses = numbers.motion(initial[None])[0][0, members]
     centres = poses[:, :2] + rotated(poses[:, 2], pieces.middles[one])
-    cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
-    kinds = numbers.kinds[members]
-    _, which, many = np.unique(
-        np.column_stack([kinds, cells]), axis=0, return_inverse=True, return_counts=True
-    )
-    which = which.reshape(-1)
-    deep = (many[which] > 1) & (numbers.laws[kinds, kinds] >= 0)
-    if 2 * np.count_nonzero(deep) <= len(members):
-        return
-    first, other = np.flatnonzero(deep & (which == which[int(np.argmax(deep))]))[:2].tolist()
-    depth = 2.0 * pieces.cores[one[first]] - math.dist(centres[first], centres[other])
-    b = int(members[first])
-    raise DeclarationProblem(
-        f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[members[other]]!r}, "
-        f"and at least {np.count_nonzero(deep)} of {len(members)} copies overlap",
-        advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
-        loc=("bodies", owners[b], "start"),
-    )
+    checks = [(poses, 0)]
+    if len(members) >= _CROWD and not len(numbers.joints.bodies):
+        cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
+        checks.append((cells, len(members) // 2))
+    for places, allowed in checks:
+        _, which, many = np.unique(
+            np.column_stack([kinds, places]), axis=0, return_inverse=True, return_counts=True
+        )
+        which = which.reshape(-1)
+        deep = (many[which] > 1) & (numbers.laws[kinds, kinds] >= 0)
+        if np.count_nonzero(deep) <= allowed:
+            continue
+        first, other = np.flatnonzero(deep & (which == which[int(np.argmax(deep))]))[:2].tolist()
+        b, c = int(members[first]), int(members[other])
+        problem = f"bodies {names[b]!r} and {names[c]!r} start at the same place"
+        if places is not poses:
+            depth = 2.0 * pieces.cores[one[first]] - math.dist(centres[first], centres[other])
+            problem = (
+                f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[c]!r}, and at "
+                f"least {np.count_nonzero(deep)} of {len(members)} copies overlap"
+            )
+        raise DeclarationProblem(
+            problem,
+            advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
+            loc=("bodies", owners[b], "start"),
+        )
 
 
 def _row_formulas(numbers: BodyNumbers, b: int) -> str:
