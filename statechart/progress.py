@@ -1,4 +1,4 @@
-"""Progress bars on a terminal; elsewhere callers report progress in lines."""
+"""Progress on stderr: bars on a terminal, elsewhere lines."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ T = TypeVar("T")
 
 
 class Bar:
-    """Progress bar on stderr; `close` removes it."""
+    """Progress on stderr: a bar on a terminal, which `close` removes, elsewhere lines."""
 
     def __init__(self, total: float) -> None:
+        self.drawn = possible()
+        if not self.drawn:
+            return
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
@@ -27,12 +30,17 @@ class Bar:
         self._task = self._shown.add_task("", total=total)
 
     def show(self, done: float, words: str) -> None:
-        """Show the progress, with a remark."""
+        """Show the progress, with a remark, or the remark as a line."""
+        if not self.drawn:
+            sys.stderr.write(f"{words}\n")
+            sys.stderr.flush()
+            return
         self._shown.update(self._task, completed=done, description=words)
 
     def close(self) -> None:
         """Remove the bar from the terminal."""
-        self._shown.stop()
+        if self.drawn:
+            self._shown.stop()
 
 
 def possible() -> bool:

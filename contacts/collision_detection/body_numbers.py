@@ -47,7 +47,7 @@ class PieceNumbers(NamedTuple):
 class JointNumbers(NamedTuple):
     """The joint rows of a scene: first one of each joint, then those of angles."""
 
-    bodies: Ints  # (j, 2): the two bodies; -1: the world.
+    bodies: Ints  # (j, 2): the two bodies; the second may be an anchor in the world.
     points: Array  # (j, 2, 2): joint points in body frames.
     kinds: Ints  # shape (j,)
     owners: Ints  # (j,): joint of the row.
@@ -100,8 +100,9 @@ class LinkNumbers(NamedTuple):
 class BodyNumbers(NamedTuple):
     """Constants of a run of colliding bodies.
 
-    Order: free bodies, linked bodies, bodies on prescribed paths, fixed bodies. A state holds the
-    poses of free bodies, the coordinates, and their rates.
+    Order: free bodies, linked bodies, bodies led along paths, fixed bodies. Moving surfaces and the
+    world anchors of joints are led bodies without a shape. A state holds the poses of free bodies,
+    the coordinates, and their rates.
     """
 
     pieces: PieceNumbers
@@ -142,6 +143,16 @@ class BodyNumbers(NamedTuple):
         moving = poses, rates.reshape(poses.shape)
         one, other = (np.concatenate(pair, axis=1) for pair in zip(parts, moving, strict=True))
         return one, other
+
+    def poses(self, states: Array, led: Array) -> Array:
+        """Return the poses (k, b, 3) of all bodies in states (k, n), with led ones (k, l, 3)."""
+        fixed = np.broadcast_to(self.fixed, (len(states), *self.fixed.shape))
+        return np.concatenate([self.motion(states)[0], led, fixed], axis=1)
+
+    def moved(self, state: Array, led: Array) -> Array:
+        """Return the poses and rates (2, b, 3) of all bodies, with those of led ones (2, l, 3)."""
+        fixed = np.stack([self.fixed, np.zeros_like(self.fixed)])
+        return np.concatenate([np.concatenate(self.motion(state[None])), led, fixed], axis=1)
 
     def linked(self, states: Array) -> tuple[Array, Array]:
         """Return the poses (k, l, 3) of linked bodies, and their Jacobians (k, 3 l, c)."""

@@ -28,14 +28,7 @@ from contacts.collision_detection.body_numbers import (
     WarmStart,
 )
 from contacts.collision_detection.broad_phase import Grid, near_pairs, sort_by_key
-from contacts.collision_detection.convex import FOUND, ConvexShape, shape_contacts
-from contacts.collision_detection.ground import (
-    POINTS,
-    Ground,
-    is_far,
-    on_surface,
-    remove_surface_motion,
-)
+from contacts.collision_detection.convex import FOUND, ConvexShape, norm, shape_contacts
 from contacts.collision_detection.internal_edges import (
     COVERING,
     Neighbours,
@@ -47,13 +40,21 @@ from contacts.collision_detection.internal_edges import (
 )
 from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import TOUCH_TOLERANCE, Midpoint
-from contacts.collision_detection.surfaces import PLATE, ROUND
+from contacts.collision_detection.surfaces import (
+    PLATE,
+    ROUND,
+    Ground,
+    distance,
+    surface_contacts,
+)
 from contacts.collision_detection.time_of_impact import (
     ARRIVED,
+    carrier_of,
     entered_other_side,
     is_relatively_slow,
     overlap_interval,
     passing_time,
+    relative_speed,
     time_of_impact,
     turning_speed,
     will_collide,
@@ -64,6 +65,10 @@ from statechart.kernels.jit import kernel
 
 CROSSED = 0.5
 """Relative motion in a step, in sizes, below which a pair needs no continuous detection."""
+
+
+POINTS = 16
+"""Capacity of contact points per pair: a polygon on a surface has one per corner."""
 
 
 class CandidatePair(NamedTuple):
@@ -77,21 +82,38 @@ class CandidatePair(NamedTuple):
     other: int
     key: int  # See `WarmStart`.
     material: int  # Row of the contact law; -1: no contact.
-    # Whether both are pieces; both discs; the surface moves on a path.
+    # Whether both are pieces; both discs.
     whole: bool
     discs: bool
-    moves: bool
     # Whether pieces move little in the step, so that continuous detection is within its error;
     # whether they turn much.
     slowly: bool
     turns: bool
     rolls: bool  # One is a disc.
     size: float  # Smaller one's.
+    within: float  # Largest gap that they can close.
+
+
+@kernel
+def pair_reach(numbers: BodyNumbers, mid: Midpoint, p: int, q: int, h: float) -> float:
+    """Return the gap that a piece and another or a surface can close; -1: they are farther apart.
+
+    Near pieces are known.
+    """
+    s = q - len(numbers.pieces.sizes)
+    if s < 0:
+        return mid.reach[p] + mid.reach[q]
+    c, (x, y) = carrier_of(numbers, q), mid.centres[p]
+    u, v, turning = mid.free_rates[c]
+    u, v = u - turning * (y - mid.poses[c, 1]), v + turning * (x - mid.poses[c, 0])
+    within = mid.reach[p] + 2.0 * h * norm(u, v)
+    away = distance(numbers.surfaces, s, mid.poses[c], x, y)
+    return -1.0 if away > numbers.pieces.sizes[p] + within else within
 
 
 @kernel
 def candidate_pair(
-    numbers: BodyNumbers, mid: Midpoint, p: int, q: int, since: float
+    numbers: BodyNumbers, mid: Midpoint, p: int, q: int, since: float, within: float
 ) -> CandidatePair:
     """Return the data of a piece and what it may touch."""
     pieces, surfaces = numbers.pieces, numbers.surfaces
@@ -108,20 +130,21 @@ def candidate_pair(
         slowly = not turns and is_relatively_slow(mid.drifts, pieces.sizes, p, q, CROSSED / since)
         rolls = pieces.radii[p] + pieces.radii[q] > 0.0
         return CandidatePair(
-            p, q, b, other, key, material, True, discs, False, slowly, turns, rolls, size
+            p, q, b, other, key, material, True, discs, slowly, turns, rolls, size, within
         )
     other = surfaces.carriers[s]
     material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
-    moves, size = other < 0 and surfaces.moves[s], pieces.sizes[p]
-    rolls = pieces.radii[p] > 0.0
+    rolls, size = pieces.radii[p] > 0.0, pieces.sizes[p]
     return CandidatePair(
-        p, q, b, other, key, material, False, False, moves, True, False, rolls, size
+        p, q, b, other, key, material, False, False, True, False, rolls, size, within
     )
 
 
 # Part of the radii within which a piece that has passed another since the last detection missed it;
 # for fast pieces, which graze at a tenth of their speed farther out.
 _CORE, _WHOLE = 0.9, 0.995
+# Depth, relative to the inscribed circle, up to which a piece that passes a surface only grazes it.
+_GRAZED = 0.1
 # Depth of an impact, relative to the smaller piece, above which the step is split.
 _SUNK = 0.25
 # Penetration, relative to that size, that the first detection may add to the checked initial one.
@@ -181,28 +204,28 @@ def _update_maximum(points: _Points, what: int, value: float) -> None:
 
 
 @kernel
-def _piece_points(
-    numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, points: _Points
-) -> int:
-    """Find the contact points of two pieces, and whether they have passed each other."""
-    pieces, p, q, since = numbers.pieces, pair.p, pair.q, times.since
-    radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, mid.centres
-    core = _CORE if pair.slowly else _WHOLE
-    if not pair.turns and (
+def _add_passing(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
+    points: _Points,
+) -> None:  # fmt: skip
+    """Note for which part of the step a piece was in another or a surface that it has passed."""
+    p, q, cores, since = pair.p, pair.q, numbers.pieces.cores, times.since
+    core, end, limit = _CORE if pair.slowly else _WHOLE, 0.0, CROSSED * numbers.pieces.cores[p]
+    if not pair.whole:
+        if times.h * relative_speed(numbers, mid, p, q) <= limit:
+            return
+        deep = _GRAZED * cores[p]
+    elif not pair.turns and (
         pair.discs or is_relatively_slow(mid.drifts, cores, p, q, CROSSED / since)
     ):
-        begin, end = overlap_interval(centres, mid.drifts, p, q, core * (cores[p] + cores[q]))
+        begin, end = overlap_interval(mid.centres, mid.drifts, p, q, core * (cores[p] + cores[q]))
         if -since < begin and begin + end < 0.0:
             _update_maximum(points, PASSED, (end - begin) / times.h)
+        return
     else:
         deep = (1.0 - core) * (cores[p] + cores[q])
-        past = passing_time(numbers, mid, (p, q), min(since, times.h), deep, points.buffer)
-        _update_maximum(points, PASSED, past / times.h)
-    return shape_contacts(
-        ConvexShape(mid.world[firsts[p] : firsts[p + 1]], centres[p], radii[p]),
-        ConvexShape(mid.world[firsts[q] : firsts[q + 1]], centres[q], radii[q]),
-        mid.reach[p] + mid.reach[q], points.manifold, points.features,
-    )  # fmt: skip
+    past = passing_time(numbers, ground, mid, (p, q), min(since, times.h), deep, points.buffer)
+    _update_maximum(points, PASSED, past / times.h)
 
 
 @kernel
@@ -210,20 +233,27 @@ def _pair_points(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
     points: _Points, near: Neighbours,
 ) -> int:  # fmt: skip
-    """Find the contact points of a pair; return their number."""
-    pieces, (manifold, features) = numbers.pieces, points[:2]
+    """Find the contact points of a pair, and whether they have passed; return their number."""
+    pieces, (manifold, features), p, q = numbers.pieces, points[:2], pair.p, pair.q
+    firsts, centres, s = pieces.firsts, mid.centres, q - len(pieces.sizes)
+    shape = ConvexShape(mid.world[firsts[p] : firsts[p + 1]], centres[p], pieces.radii[p])
+    _add_passing(numbers, ground, mid, pair, times, points)
     if pair.whole:
-        count = _piece_points(numbers, mid, pair, times, points)
+        other = ConvexShape(mid.world[firsts[q] : firsts[q + 1]], centres[q], pieces.radii[q])
+        count = shape_contacts(shape, other, pair.within, manifold, features)
     else:
-        s = pair.q - len(pieces.sizes)
-        count, crosses = on_surface(numbers, ground, mid, pair.p, s, times.h, manifold, features)
-        _update_maximum(points, PASSED, crosses)
+        count = surface_contacts(
+            numbers.surfaces, s, mid.poses[pair.other], ground, shape, pair.within, manifold,
+            features,
+        )  # fmt: skip
     # The depth counts even if internal edges remove all contacts, but not that of compliant ones.
     rigid = numbers.materials[pair.material, STIFFNESS] == 0.0
     for at in range(count if rigid else 0):
-        mid.gaps[pair.body] = min(mid.gaps[pair.body], manifold[at, 4])
-        if pair.other >= 0:
-            mid.gaps[pair.other] = min(mid.gaps[pair.other], manifold[at, 4])
+        gap = manifold[at, 4]
+        if gap < mid.gaps[pair.body]:
+            mid.gaps[pair.body], mid.deepest[pair.body] = gap, q
+        if pair.other >= 0 and gap < mid.gaps[pair.other]:
+            mid.gaps[pair.other], mid.deepest[pair.other] = gap, p
     for turn in range(2 if count > 0 else 0):
         several = turn == 0 and pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1
         # A half-plane has one normal, which others do not take away.
@@ -261,8 +291,8 @@ def _drop_ghost_contacts(
 
 @kernel
 def _will_strike(
-    numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, point: Array,
-    nearing: float, certain: bool, points: _Points,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
+    point: Array, nearing: float, certain: bool, points: _Points,
 ) -> bool:  # fmt: skip
     """Return whether a fast, near pair collides; it may pass the other body.
 
@@ -280,9 +310,10 @@ def _will_strike(
     if pair.turns and gap > 0.0:
         until = (0.5 + TIME_MARGIN) * h
         pieces, near = (pair.p, pair.q), ARRIVED * gap
-        return time_of_impact(numbers, mid, pieces, 0.0, until, near, points.buffer) < math.inf
+        touch = time_of_impact(numbers, ground, mid, pieces, 0.0, until, near, points.buffer)
+        return touch < math.inf
     meets, crossed = will_collide(
-        numbers, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.buffer
+        numbers, ground, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.buffer
     )
     _update_maximum(points, PASSED, crossed)
     return meets
@@ -349,10 +380,6 @@ def _write_if_active(
     if prescribed:
         pull = remove_body_motion(mid, pair.other, point, m, active)
         mid.force_speed[pair.body] = max(mid.force_speed[pair.body], pull)
-    if pair.moves:
-        s = pair.q - len(numbers.pieces.sizes)
-        pull = remove_surface_motion(ground, numbers.surfaces, s, point, h, m, active)
-        mid.force_speed[pair.body] = max(mid.force_speed[pair.body], pull)
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
     law = numbers.materials[pair.material]
@@ -381,15 +408,17 @@ def _write_if_active(
     closing, reached = h * (slow - active.free[m, 0]), (0.5 + TIME_MARGIN) * h * nearing
     role, level, above = contact_role(gap, level, lasting, nearing, slow, closing, reached, 0.0)
     certain = known or pair.slowly
-    if role == HIT and not _will_strike(numbers, mid, pair, times, point, nearing, certain, points):
+    if role == HIT and not _will_strike(
+        numbers, ground, mid, pair, times, point, nearing, certain, points
+    ):
         role = SEPARATED
     if gap < 0.0 and -nearing > slow and not certain:
         # It leaves: if it was outside before, it entered by another side. A shorter step than the
         # last one was checked at its end.
-        which_normal, since = ((pair.p, pair.q), (point[0], point[1])), min(times.since, h)
-        _update_maximum(
-            points, PASSED, entered_other_side(numbers, mid, *which_normal, since, points.buffer)
-        )
+        pieces, normal = (pair.p, pair.q), (point[0], point[1])
+        since = min(times.since, h)
+        crossed = entered_other_side(numbers, ground, mid, pieces, normal, since, points.buffer)
+        _update_maximum(points, PASSED, crossed)
     if role == SEPARATED:
         return False
     active.levels[m, 3] = above
@@ -438,17 +467,13 @@ def _write_slip_direction(
 
 @kernel
 def _add_resistance(
-    numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
-    times: _Times, at_old: int, m: int, active: ActiveContacts,
+    numbers: BodyNumbers, warm: WarmStart, mid: Midpoint, pair: CandidatePair, times: _Times,
+    at_old: int, m: int, active: ActiveContacts,
 ) -> None:  # fmt: skip
     """Write the rolling resistance of contact m - 1 as contact m."""
     before = after = 0.0
     if pair.other >= len(numbers.inverse):
         before, after = mid.old_rates[pair.other, 2], mid.free_rates[pair.other, 2]
-    elif pair.moves:
-        frames = ground.frames
-        before = (frames[1, 2] - frames[0, 2]) / times.h
-        after = (frames[2, 2] - frames[1, 2]) / times.h
     write_resistance(numbers, warm, at_old, (before, after), times.h, m, active)
     active.before[m, 1] += velocity(active.bodies, active.rows, mid.old_rates, m, 1)
     active.free[m, 1] += velocity(active.bodies, active.rows, mid.free_rates, m, 1)
@@ -492,9 +517,10 @@ def find_contacts(
             list_neighbours(pairs, begin, end, p, near)
         for i in range(begin, end + others - count):
             q = pairs[i, 1] if i < end else count + i - end
-            if q >= count and is_far(numbers.surfaces, ground, mid, p, q - count, sizes[p]):
+            within = pair_reach(numbers, mid, p, q, h)
+            if within < 0.0:
                 continue
-            pair = candidate_pair(numbers, mid, p, q, times.since)
+            pair = candidate_pair(numbers, mid, p, q, times.since, within)
             if pair.material < 0:
                 continue
             met = _pair_points(numbers, ground, mid, pair, times, points, near)
@@ -506,7 +532,7 @@ def find_contacts(
                 ):
                     m += 1
                     if m < len(active.hit) and active.rolling_roles[m - 1] == ROLLS:
-                        _add_resistance(numbers, ground, warm, mid, pair, times, at_old, m, active)
+                        _add_resistance(numbers, warm, mid, pair, times, at_old, m, active)
                         m += 1
                 if m == len(active.hit):
                     return DetectionResult(-1, worst[0], worst[1], worst[2], worst[3], worst[4])

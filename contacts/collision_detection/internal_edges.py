@@ -21,17 +21,18 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.convex import face_contacts, interval_within, norm, write_contact
-from contacts.collision_detection.ground import Ground, pose_of
 from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import (
     PLATE,
     ROUND,
+    Ground,
+    SurfaceNumbers,
     distance,
     tangent_at,
-    to_frame,
     to_world,
 )
+from contacts.collision_detection.time_of_impact import carrier_of
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -67,7 +68,15 @@ def make_obstacle(
         sort = DISC if pieces.radii[q] > 0.0 else POLYGON
         return Obstacle(sort, corners, mid.centres[q], pieces.radii[q], pieces.sizes[q])
     s = q - len(pieces.sizes)
-    pose, two, centre = pose_of(numbers, ground, mid, s), np.zeros((2, 2)), np.zeros(2)
+    return _surface_obstacle(surfaces, s, mid.poses[surfaces.carriers[s]], ground, x, y)
+
+
+@kernel
+def _surface_obstacle(
+    surfaces: SurfaceNumbers, s: int, pose: Array, ground: Ground, x: float, y: float
+) -> Obstacle:
+    """Return a surface as an obstacle near a point."""
+    two, centre = np.zeros((2, 2)), np.zeros(2)
     a, b, c, d = surfaces.numbers[s]
     if surfaces.kinds[s] == PLATE:
         two[0, 0], two[0, 1] = to_world(pose, a, b)
@@ -77,7 +86,7 @@ def make_obstacle(
     if surfaces.kinds[s] == ROUND:
         centre[0], centre[1] = to_world(pose, a, b)
         return Obstacle(DISC, two[:0], centre, c, c)
-    two[0, 0], two[0, 1], nx, ny = tangent_at(surfaces, s, pose, ground.registers, x, y)
+    two[0, 0], two[0, 1], nx, ny = tangent_at(surfaces, s, pose, ground, x, y)
     two[1, 0], two[1, 1] = two[0, 0] - ny, two[0, 1] + nx
     return Obstacle(HALF, two, centre, 0.0, math.inf)
 
@@ -194,31 +203,23 @@ def have_contact_law(numbers: BodyNumbers, one: int, other: int) -> bool:
 
 @kernel
 def _velocity(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float, h: float
+    numbers: BodyNumbers, mid: Midpoint, q: int, x: float, y: float
 ) -> tuple[float, float, float]:
     """Return the velocity of a piece's or surface's point at x, y, and its angular velocity."""
-    count, surfaces = len(numbers.pieces.sizes), numbers.surfaces
-    b = numbers.pieces.bodies[q] if q < count else surfaces.carriers[q - count]
-    if b >= 0:
-        turning = mid.old_rates[b, 2]
-        u, v = x - mid.poses[b, 0], y - mid.poses[b, 1]
-        return mid.old_rates[b, 0] - turning * v, mid.old_rates[b, 1] + turning * u, turning
-    if not surfaces.moves[q - count]:
-        return 0.0, 0.0, 0.0
-    now, then = ground.paths[1, q - count], ground.paths[2, q - count]
-    u, v = to_frame(now, x, y)
-    u, v = to_world(then, u, v)
-    return (u - x) / h, (v - y) / h, (then[2] - now[2]) / h
+    b = carrier_of(numbers, q)
+    turning = mid.old_rates[b, 2]
+    u, v = x - mid.poses[b, 0], y - mid.poses[b, 1]
+    return mid.old_rates[b, 0] - turning * v, mid.old_rates[b, 1] + turning * u, turning
 
 
 @kernel
 def is_relatively_still(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], x: float, y: float,
-    h: float, near: float,
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], x: float, y: float, h: float,
+    near: float,
 ) -> bool:  # fmt: skip
     """Return whether the relative motion of two obstacles at x, y is below `near` in a step."""
-    u, v, turning = _velocity(numbers, ground, mid, pair[0], x, y, h)
-    other_u, other_v, other_turning = _velocity(numbers, ground, mid, pair[1], x, y, h)
+    u, v, turning = _velocity(numbers, mid, pair[0], x, y)
+    other_u, other_v, other_turning = _velocity(numbers, mid, pair[1], x, y)
     along, across = u - other_u, v - other_v
     turned = near / FLUSH * (turning - other_turning)
     return h * h * (along * along + across * across + turned * turned) <= near * near
@@ -287,8 +288,12 @@ def near_obstacles(
     covering[0] = one
     plate = one >= all_pieces
     body = -1 if plate else pieces.bodies[one]
-    size = _half_length(numbers, one - all_pieces) if plate else pieces.sizes[one]
-    if not plate:
+    if plate:
+        s = one - all_pieces
+        pose = mid.poses[surfaces.carriers[s]]
+        size = _surface_obstacle(surfaces, s, pose, ground, 0.0, 0.0).size
+    else:
+        size = pieces.sizes[one]
         first, end = pieces.begins[body], pieces.begins[body + 1]
         is_compound = False
         for q in range(first, end):
@@ -321,7 +326,7 @@ def near_obstacles(
             at < 0
             or n_near == len(covering)
             or not is_relatively_still(
-                numbers, ground, mid, (one, q), manifold[at, 2], manifold[at, 3], h, near
+                numbers, mid, (one, q), manifold[at, 2], manifold[at, 3], h, near
             )
         ):
             continue
@@ -353,22 +358,15 @@ def _near_obstacle(
 ) -> int:  # fmt: skip
     """Return the first contact point near a piece or surface; -1: none."""
     s = q - len(numbers.pieces.sizes)
-    still = s >= 0 and not (numbers.surfaces.moves[s] or numbers.surfaces.carriers[s] >= 0)
     for i in range(count):
         x, y = manifold[i, 2], manifold[i, 3]
-        if still:
-            away = distance(numbers.surfaces, s, ground.still[1], x, y)
+        if s >= 0:
+            away = distance(numbers.surfaces, s, mid.poses[carrier_of(numbers, q)], x, y)
         else:
             away = distance_to(make_obstacle(numbers, ground, mid, q, x, y), x, y)
         if away <= _AROUND * size + 2.0 * abs(manifold[i, 4]):
             return i
     return -1
-
-
-@kernel
-def _half_length(numbers: BodyNumbers, s: int) -> float:
-    a, b, c, d = numbers.surfaces.numbers[s]
-    return 0.5 * norm(c - a, d - b)
 
 
 # Largest angle between a contact normal and that of a face it belongs to, inside the face.

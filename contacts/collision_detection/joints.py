@@ -60,106 +60,79 @@ def _nonlinear_displacement(x: float, y: float, across: bool, turn: float) -> fl
 
 
 @kernel
-def _joint_rows(
-    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, h: float, keeps: bool, m: int,
-    active: ActiveContacts,
-) -> float:  # fmt: skip
-    """Write the rows of a joint as contact m; return the second difference of its anchor over h.
+def _joint_ends(
+    joints: JointNumbers, j: int, mid: Midpoint, h: float, arms: Array, motion: Array
+) -> None:
+    """Write the arms (2, 2) of a joint, and the relative motion (5, 2) of its ends.
 
-    Velocities are relative to the path. `paths` (3, j, 2): the world anchors of all joints at the
-    last detection, this one and the next; `keeps`: the joint stays as far open as it is.
+    Rows of the `motion`: difference of the ends; their velocities before the step and without
+    impulses; the velocity by which rotation moves them beyond the linear term; sizes of the terms.
     """
-    places, old, loose = mid.poses, mid.old_rates, mid.free_rates
-    rows, before, free = active.rows[m], active.before[m], active.free[m]
-    wanted, open_by = active.bias[m], active.open_by[m]
-    for d in range(2):
-        before[d] = free[d] = wanted[d] = 0.0
-        apart = size = 0.0
-        for k in range(6):
-            rows[d, k] = 0.0
-        if d == 1 and joints.kinds[j] != BOTH:
-            continue
-        across = joints.kinds[j] == ALONG_Y or d == 1
-        ux, uy = (0.0, 1.0) if across else (1.0, 0.0)
-        for side in range(2):
-            b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
-            if b < 0:
-                axis = 1 if across else 0
-                now = paths[1, joints.owners[j], axis]
-                before[d] -= (now - paths[0, joints.owners[j], axis]) / h
-                free[d] -= (paths[2, joints.owners[j], axis] - now) / h
-                apart, size = apart - now, size + abs(now)
-                continue
-            x, y = to_world(places[b], joints.points[j, side, 0], joints.points[j, side, 1])
-            rx, ry = x - places[b, 0], y - places[b, 1]
-            at = 3 * side
-            rows[d, at], rows[d, at + 1] = sign * ux, sign * uy
-            rows[d, at + 2] = sign * (rx * uy - ry * ux)
-            for k in range(3):
-                before[d] += rows[d, at + k] * old[b, k]
-                free[d] += rows[d, at + k] * loose[b, k]
-            wanted[d] += sign * _nonlinear_displacement(rx, ry, across, h * old[b, 2]) / h
-            apart += sign * (ux * x + uy * y)
-            size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
-        # Redundant joints cannot close round-off.
-        if not abs(apart) > _ANGLE_ROUND_OFF * size:
-            open_by[d] = 0.0
-            continue
-        if keeps:
-            open_by[d] = apart
-        wanted[d] += (apart - open_by[d]) / h
-    return _path_bend(paths, joints.owners[j]) / h
+    for side in range(2):
+        b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
+        x, y = to_world(mid.poses[b], joints.points[j, side, 0], joints.points[j, side, 1])
+        rx, ry = x - mid.poses[b, 0], y - mid.poses[b, 1]
+        arms[side, 0], arms[side, 1] = rx, ry
+        motion[0, 0] += sign * x
+        motion[0, 1] += sign * y
+        for k, rates in ((1, mid.old_rates), (2, mid.free_rates)):
+            motion[k, 0] += sign * (rates[b, 0] - rates[b, 2] * ry)
+            motion[k, 1] += sign * (rates[b, 1] + rates[b, 2] * rx)
+        turn = h * mid.old_rates[b, 2]
+        for d in range(2):
+            motion[3, d] += sign * _nonlinear_displacement(rx, ry, d == 1, turn) / h
+        motion[4, 0] += abs(x) + abs(rx) + abs(ry)
+        motion[4, 1] += abs(y) + abs(rx) + abs(ry)
 
 
 @kernel
-def _path_bend(paths: Array, j: int) -> float:
-    """Return the second difference of the path of joint j's anchor."""
-    bend_x = paths[2, j, 0] - 2.0 * paths[1, j, 0] + paths[0, j, 0]
-    bend_y = paths[2, j, 1] - 2.0 * paths[1, j, 1] + paths[0, j, 1]
-    return math.hypot(bend_x, bend_y)
+def _write_direction(
+    arms: Array, motion: Array, ux: float, uy: float, m: int, d: int, active: ActiveContacts
+) -> None:
+    """Write row d of contact m: the velocity of a joint's ends along a direction."""
+    for side in range(2):
+        at, sign = 3 * side, 1.0 - 2.0 * side
+        row = active.rows[m, d]
+        row[at], row[at + 1] = sign * ux, sign * uy
+        row[at + 2] = sign * (arms[side, 0] * uy - arms[side, 1] * ux)
+    active.before[m, d] = ux * motion[1, 0] + uy * motion[1, 1]
+    active.free[m, d] = ux * motion[2, 0] + uy * motion[2, 1]
+
+
+@kernel
+def _write_points(
+    joints: JointNumbers, j: int, arms: Array, motion: Array, h: float, keeps: bool, m: int,
+    active: ActiveContacts,
+) -> None:  # fmt: skip
+    """Write the rows of a joint of two points; if it `keeps`, it stays as far open as it is."""
+    for d in range(2 if joints.kinds[j] == BOTH else 1):
+        axis = 1 if d == 1 or joints.kinds[j] == ALONG_Y else 0
+        _write_direction(arms, motion, 1.0 - axis, 1.0 * axis, m, d, active)
+        active.bias[m, d] = motion[3, axis]
+        apart = motion[0, axis]
+        # Redundant joints cannot close round-off.
+        if not abs(apart) > _ANGLE_ROUND_OFF * motion[4, axis]:
+            active.open_by[m, d] = 0.0
+            continue
+        if keeps:
+            active.open_by[m, d] = apart
+        active.bias[m, d] += (apart - active.open_by[m, d]) / h
 
 
 @kernel
 def _distance_row(
-    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, h: float, m: int,
+    joints: JointNumbers, j: int, arms: Array, motion: Array, h: float, m: int,
     active: ActiveContacts,
 ) -> tuple[float, float]:  # fmt: skip
     """Write the closing speed of a joint's ends as contact m; return the remaining distance.
 
     And the velocity by which it falls faster than linearly, as the ends circle and arms turn.
     """
-    ends, rates, bent, owner = np.zeros((2, 2)), np.zeros((3, 2)), np.zeros(2), joints.owners[j]
-    arms = np.zeros((2, 2))
-    for side in range(2):
-        b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
-        if b < 0:
-            for d in range(2):
-                now = ends[side, d] = paths[1, owner, d]
-                rates[0, d] -= (now - paths[0, owner, d]) / h
-                rates[1, d] -= (paths[2, owner, d] - now) / h
-            continue
-        x, y = to_world(mid.poses[b], joints.points[j, side, 0], joints.points[j, side, 1])
-        rx, ry = x - mid.poses[b, 0], y - mid.poses[b, 1]
-        ends[side, 0], ends[side, 1], arms[side, 0], arms[side, 1] = x, y, rx, ry
-        for k, bodies in ((0, mid.old_rates), (1, mid.free_rates)):
-            rates[k, 0] += sign * (bodies[b, 0] - bodies[b, 2] * ry)
-            rates[k, 1] += sign * (bodies[b, 1] + bodies[b, 2] * rx)
-        bent[0] += sign * _nonlinear_displacement(rx, ry, False, h * mid.old_rates[b, 2]) / h
-        bent[1] += sign * _nonlinear_displacement(rx, ry, True, h * mid.old_rates[b, 2]) / h
-    far = math.hypot(ends[0, 0] - ends[1, 0], ends[0, 1] - ends[1, 1])
-    ux, uy = 1.0, 0.0
-    if far > 0.0:
-        ux, uy = (ends[0, 0] - ends[1, 0]) / far, (ends[0, 1] - ends[1, 1]) / far
-    for side in range(2):
-        sign, at = 2.0 * side - 1.0, 3 * side
-        if joints.bodies[j, side] >= 0:
-            active.rows[m, 0, at], active.rows[m, 0, at + 1] = sign * ux, sign * uy
-            turn = arms[side, 0] * uy - arms[side, 1] * ux
-            active.rows[m, 0, at + 2] = sign * turn
-    active.before[m, 0] = -(ux * rates[0, 0] + uy * rates[0, 1])
-    active.free[m, 0] = -(ux * rates[1, 0] + uy * rates[1, 1])
-    around = ux * rates[0, 1] - uy * rates[0, 0]
-    further = ux * bent[0] + uy * bent[1]
+    far = math.hypot(motion[0, 0], motion[0, 1])
+    ux, uy = (motion[0, 0] / far, motion[0, 1] / far) if far > 0.0 else (1.0, 0.0)
+    _write_direction(arms, motion, -ux, -uy, m, 0, active)
+    around = ux * motion[1, 1] - uy * motion[1, 0]
+    further = ux * motion[3, 0] + uy * motion[3, 1]
     further += 0.5 * h * around * around / far if far > 0.0 else 0.0
     return joints.sizes[j, 0] - far, further
 
@@ -172,11 +145,10 @@ def _angle_row(
     sign, angle = -1.0 if joints.kinds[j] == GREATEST else 1.0, 0.0
     for side in range(2):
         b, way = joints.bodies[j, side], sign * (1.0 - 2.0 * side)
-        if b >= 0:
-            active.rows[m, 0, 3 * side + 2] = way
-            angle += way * mid.poses[b, 2]
-            active.before[m, 0] += way * mid.old_rates[b, 2]
-            active.free[m, 0] += way * mid.free_rates[b, 2]
+        active.rows[m, 0, 3 * side + 2] = way
+        angle += way * mid.poses[b, 2]
+        active.before[m, 0] += way * mid.old_rates[b, 2]
+        active.free[m, 0] += way * mid.free_rates[b, 2]
     return angle - sign * joints.sizes[j, 0]
 
 
@@ -206,48 +178,55 @@ def _write_bounded_bias(
 
 
 @kernel
-def _write_scalar_row(
-    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, warm: WarmStart, place: int,
-    h: float, keeps: bool, fall: float, m: int, active: ActiveContacts,
-) -> float:  # fmt: skip
-    """Write a distance or angle row as contact m; see `_joint_rows`."""
-    holds, bend = joints.kinds[j], 0.0
+def _write_rows(
+    numbers: BodyNumbers, j: int, mid: Midpoint, warm: WarmStart, place: int, h: float, m: int,
+    active: ActiveContacts,
+) -> None:  # fmt: skip
+    """Write the rows of a joint as contact m; its entry of the warm start is at `place`, or -1."""
+    joints, bend = numbers.joints, 0.0
+    keeps = place < 0 or abs(h - warm.last_step[0]) > _SAME * h
     for d in range(2):
         active.before[m, d] = active.free[m, d] = active.bias[m, d] = 0.0
+        active.open_by[m, d] = warm.contacts[place, 4 + d] if place >= 0 else 0.0
         for k in range(6):
             active.rows[m, d, k] = 0.0
-    if holds in (ROD, ROPE):
-        gap, bend = _distance_row(joints, j, mid, paths, h, m, active)
-    else:
+    holds = joints.kinds[j]
+    if holds >= TURN:
         gap = _angle_row(joints, j, mid, m, active)
+    else:
+        arms, motion = np.empty((2, 2)), np.zeros((5, 2))
+        _joint_ends(joints, j, mid, h, arms, motion)
+        if holds < ROD:
+            _write_points(joints, j, arms, motion, h, keeps, m, active)
+            return
+        gap, bend = _distance_row(joints, j, arms, motion, h, m, active)
     if holds in (ROD, TURN):
         if keeps:
             active.open_by[m, 0] = gap
         active.bias[m, 0] = (gap - active.open_by[m, 0]) / h - bend
-    else:
-        lasting = place >= 0 and warm.contacts[place, 1] == 1.0
-        level = warm.contacts[place, 0] if place >= 0 else 0.0
-        if lasting and keeps:
-            level = gap
-        _write_bounded_bias(gap, bend, lasting, level, h, joints.sizes[j, 1], fall, m, active)
-    return _path_bend(paths, joints.owners[j]) / h
+        return
+    lasting = place >= 0 and warm.contacts[place, 1] == 1.0
+    level = warm.contacts[place, 0] if place >= 0 else 0.0
+    if lasting and keeps:
+        level = gap
+    fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
+    _write_bounded_bias(gap, bend, lasting, level, h, joints.sizes[j, 1], fall, m, active)
 
 
 @kernel
 def add_joints(
-    numbers: BodyNumbers, places: Array, warm: WarmStart, mid: Midpoint, h: float, count: int,
+    numbers: BodyNumbers, warm: WarmStart, mid: Midpoint, h: float, count: int,
     active: ActiveContacts,
 ) -> int:  # fmt: skip
     """Append the joints to the contacts of a step; return the number of rows.
 
-    `places` (3, j, 2): world anchors at the previous midpoint, this one and the next; the other
-    parameters are those of `contacts.collision_detection.find_contacts`.
+    For the parameters see `contacts.collision_detection.find_contacts`.
     """
     joints, first, at_old, m = numbers.joints, first_joint_key(numbers), 0, count
-    past, fall = warm.last_step[0], math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     for j in range(len(joints.kinds)):
-        b = joints.bodies[j, 0]
-        active.bodies[m, 0], active.bodies[m, 1] = b, joints.bodies[j, 1]
+        b, other = joints.bodies[j]
+        active.bodies[m, 0] = b
+        active.bodies[m, 1] = other if other < len(numbers.inverse) else -1
         on, bounds = joints.on[joints.owners[j]], is_bound(joints.kinds[j])
         active.materials[m, 0] = HELD if joints.kinds[j] == BOTH else GUIDED
         active.materials[m, 1] = active.materials[m, 2] = 0.0
@@ -262,17 +241,12 @@ def add_joints(
         if place >= 0 and warm.contacts[place, 9] == 0.0:
             # It was off then.
             place = -1
-        keeps = place < 0 or abs(h - past) > _SAME * h
-        for d in range(2):
-            active.open_by[m, d] = warm.contacts[place, 4 + d] if place >= 0 else 0.0
         active.levels[m, 0] = active.levels[m, 1] = 0.0
-        if joints.kinds[j] >= ROD:
-            pull = _write_scalar_row(joints, j, mid, places, warm, place, h, keeps, fall, m, active)
-        else:
-            pull = _joint_rows(joints, j, mid, places, h, keeps, m, active)
-        if on:
-            mid.force_speed[b] += pull
-        else:
+        _write_rows(numbers, j, mid, warm, place, h, m, active)
+        if on and active.bodies[m, 1] < 0:
+            before, after = mid.old_rates[other], mid.free_rates[other]
+            mid.force_speed[b] += math.hypot(after[0] - before[0], after[1] - before[1])
+        if not on:
             active.hit[m] = False
             for d in range(2):
                 active.bias[m, d] = OFF

@@ -42,10 +42,8 @@ class LimitProgram(NamedTuple):
 class Prescribed(NamedTuple):
     """Prescribed motion and forces of the next steps."""
 
-    # At the midpoints of the previous step, these steps and the one after: frames of surfaces,
-    # world anchors of joints, poses of led bodies, controller variables.
-    frames: Array  # shape (k + 2, s, 3)
-    places: Array  # shape (k + 2, j, 2)
+    # At the midpoints of the previous step, these steps and the one after: poses of led bodies,
+    # controller variables.
     poses: Array  # shape (k + 2, l, 3)
     controller_states: Array  # shape (k + 2, w)
     forces: ForceProgram
@@ -54,10 +52,7 @@ class Prescribed(NamedTuple):
     def after(self, count: int) -> Prescribed:
         """Return the prescribed motion after so many steps."""
         return self._replace(
-            frames=self.frames[count:],
-            places=self.places[count:],
-            poses=self.poses[count:],
-            controller_states=self.controller_states[count:],
+            poses=self.poses[count:], controller_states=self.controller_states[count:]
         )
 
 
@@ -81,8 +76,8 @@ class LinkMotion(NamedTuple):
 class Midpoint(NamedTuple):
     """Bodies in the middle of a step."""
 
-    # (b, 3): poses; (b + k, 3): rates before the step, and after it without contacts. Rates of led
-    # bodies are differences between midpoints.
+    # (b + 1, 3): poses; (b + k + 1, 3): rates before the step, and after it without contacts. Rates
+    # of led bodies are differences between midpoints. The last rows are the world's, zero.
     poses: Array
     old_rates: Array
     free_rates: Array
@@ -93,6 +88,7 @@ class Midpoint(NamedTuple):
     # (p,): largest motion of a piece within two steps and since the last detection, plus tolerance.
     reach: Array
     gaps: Array  # (b,): smallest gap found.
+    deepest: Ints  # (b,): the piece or surface at that gap.
     # (b,): speed that gravity, forces or prescribed motion give in the step.
     force_speed: Array
     links: LinkMotion
@@ -102,10 +98,11 @@ class Midpoint(NamedTuple):
         """Allocate its arrays."""
         count, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
         return cls(
-            np.empty((count, 3)), np.empty((count + numbers.links.rows, 3)),
-            np.empty((count + numbers.links.rows, 3)), np.empty((pieces, 2)), np.empty((pieces, 2)),
-            np.empty_like(numbers.pieces.vertices), np.empty(pieces), np.empty(count),
-            np.empty(count), LinkMotion.allocate(numbers.links),
+            np.zeros((count + 1, 3)), np.zeros((count + numbers.links.rows + 1, 3)),
+            np.zeros((count + numbers.links.rows + 1, 3)), np.empty((pieces, 2)),
+            np.empty((pieces, 2)), np.empty_like(numbers.pieces.vertices), np.empty(pieces),
+            np.empty(count), np.empty(count, np.int64), np.empty(count),
+            LinkMotion.allocate(numbers.links),
         )  # fmt: skip
 
 
@@ -210,7 +207,7 @@ def move_to_midpoint(
     3) are those of led bodies at the previous midpoint, this one and the next. Linked bodies are
     placed before (see `place_links`).
     """
-    places, old, loose, centres, drifts, world, reach, gaps, pull, _ = mid
+    places, old, loose, centres, drifts, world, reach, gaps, _, pull, _ = mid
     count, pieces = len(numbers.inverse), numbers.pieces
     free = count - numbers.links.bodies
     n = 3 * free + numbers.links.size

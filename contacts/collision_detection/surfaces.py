@@ -1,6 +1,6 @@
 """Contact manifolds of shapes on lines, plates, circles from both sides and graphs.
 
-A surface is evaluated in its own frame, which its path or its carrier moves.
+A surface is evaluated in its own frame, which its carrier moves.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ import numpy as np
 
 from contacts.collision_detection.convex import (
     ConvexShape,
-    interval_within,
     norm,
     shape_contacts,
     write_contact,
 )
-from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.arrays import Array, Ints, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
 
@@ -31,14 +30,17 @@ _INTERVALS, _STEPS = 16, 40
 _SAME_NORMAL = 1e-3
 
 
+Ground = tuple[int, Array]
+"""Registers of the height tape; see `statechart.kernels.tapes.allocate_registers`."""
+
+
 class SurfaceNumbers(NamedTuple):
     """The surfaces that bodies collide with."""
 
     kinds: Ints  # shape (s,)
     # (s, 4): lines: point and outward unit normal; plates: ends; circles: centre and radius.
     numbers: Array
-    carriers: Ints  # (s,): bodies that carry them; -1: none.
-    moves: Bools  # (s,): whether they have paths.
+    carriers: Ints  # (s,): bodies that carry them; -1: the world.
     graphs: Ints  # (s,): place of height, slope and curvature in the outputs of the tape.
     # Tape (`statechart.formulas.tape.Tape`) of the graphs, and its parameters.
     code: Ints32
@@ -83,44 +85,13 @@ def to_world(pose: Array, x: float, y: float) -> tuple[float, float]:
 
 
 @kernel
-def crossing_time(
-    surfaces: SurfaceNumbers, s: int, before: tuple[float, float], after: tuple[float, float],
-    core: float,
-) -> float:  # fmt: skip
-    """Return the part of a step for which a body was in a surface that it has passed; else 0.
-
-    `before`, `after`: its centre in the surface's frame, a step ago and now; `core`: radius of its
-    inscribed circle.
-    """
-    kind = surfaces.kinds[s]
-    a, b, c, d = surfaces.numbers[s]
-    u, v = after[0] - before[0], after[1] - before[1]
-    if kind == PLATE:
-        length = norm(c - a, d - b)
-        nx, ny = (b - d) / length, (c - a) / length
-        begin = nx * (before[0] - a) + ny * (before[1] - b)
-        end = nx * (after[0] - a) + ny * (after[1] - b)
-        if not begin * end < 0.0:
-            return 0.0
-        at = begin / (begin - end)
-        along = ((before[0] + at * u - a) * (c - a) + (before[1] + at * v - b) * (d - b)) / length
-        return min(1.0, 2.0 * core / abs(begin - end)) if 0.0 <= along <= length else 0.0
-    if kind == ROUND:
-        begin, end = interval_within(after[0] - a, after[1] - b, u, v, 0.9 * (c + core))
-        if begin > -1.0 and begin + end < 0.0:
-            return end - begin
-    return 0.0
-
-
-@kernel
 def surface_contacts(
-    surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], shape: ConvexShape,
+    surfaces: SurfaceNumbers, s: int, pose: Array, registers: Ground, shape: ConvexShape,
     within: float, manifold: Array, features: Ints,
 ) -> int:  # fmt: skip
     """Find the contact points of a piece with a surface, up to a gap; return their number.
 
-    `pose` (3,): frame of the surface; `registers`: of the height tape (see
-    `statechart.kernels.tapes.allocate_registers`); outputs: `manifold` (m, FOUND), `features` (m,).
+    `pose` (3,): frame of the surface; outputs: `manifold` (m, FOUND), `features` (m,).
     """
     body, centre, radius = shape
     moved = pose[0] != 0.0 or pose[1] != 0.0 or pose[2] != 0.0
@@ -162,9 +133,8 @@ def surface_contacts(
                 nx, ny, away = c, d, c * (x - a) + d * (y - b)
             else:
                 far = norm(x - a, y - b)
-                if far == 0.0:
-                    continue
-                nx, ny, away = (a - x) / far, (b - y) / far, c - far
+                nx, ny = ((a - x) / far, (b - y) / far) if far > 0.0 else (0.0, 1.0)
+                away = c - far
             if away - radius <= within and count < len(manifold):
                 write_contact(
                     manifold[count], nx, ny, x - radius * nx, y - radius * ny, away - radius
@@ -180,9 +150,7 @@ def surface_contacts(
 
 
 @kernel
-def _evaluate_graph(
-    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], count: int
-) -> int:
+def _evaluate_graph(surfaces: SurfaceNumbers, s: int, registers: Ground, count: int) -> int:
     """Evaluate a graph at the first columns of the registers; return its place in the outputs."""
     base, numbers = registers
     run_tape(surfaces.code, 0, len(surfaces.code), base, numbers, count)
@@ -191,7 +159,7 @@ def _evaluate_graph(
 
 @kernel
 def _height_and_slope(
-    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], x: float
+    surfaces: SurfaceNumbers, s: int, registers: Ground, x: float
 ) -> tuple[float, float]:
     """Return height and slope of a graph."""
     numbers, outputs = registers[1], surfaces.outputs
@@ -202,7 +170,7 @@ def _height_and_slope(
 
 @kernel
 def tangent_at(
-    surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], x: float, y: float
+    surfaces: SurfaceNumbers, s: int, pose: Array, registers: Ground, x: float, y: float
 ) -> tuple[float, float, float, float]:
     """Return the boundary point of a surface (no plate) near x, y, and its normal."""
     u, v = to_frame(pose, x, y)
@@ -223,7 +191,7 @@ def tangent_at(
 
 @kernel
 def _nearest_places(
-    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], begin: float, length: float,
+    surfaces: SurfaceNumbers, s: int, registers: Ground, begin: float, length: float,
     origin: tuple[float, float], normal: tuple[float, float], places: Array,
 ) -> int:  # fmt: skip
     """Find where a graph is nearest to a point, or deepest along a normal; return the number.
@@ -272,7 +240,7 @@ def _nearest_places(
 
 @kernel
 def _disc_on_graph(
-    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], middle: Array, radius: float,
+    surfaces: SurfaceNumbers, s: int, registers: Ground, middle: Array, radius: float,
     within: float, manifold: Array,
 ) -> int:  # fmt: skip
     """Find the points of a graph nearest to a disc."""
@@ -293,7 +261,7 @@ def _disc_on_graph(
 
 @kernel
 def _polygon_on_graph(
-    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], corners: Array, within: float,
+    surfaces: SurfaceNumbers, s: int, registers: Ground, corners: Array, within: float,
     manifold: Array, features: Ints,
 ) -> int:  # fmt: skip
     """Find corners near a graph, and its crests near edges."""

@@ -49,6 +49,13 @@ class Scales:
     sizes: Array
 
     @property
+    def numbers(self) -> Array:
+        """The scales (5,) as `measure` writes them."""
+        return np.array(
+            [self.length, self.speed, self.acceleration, self.force, self.rounding], float
+        )
+
+    @property
     def coordinates(self) -> Array:
         """The sizes (n,) of the coordinates."""
         return self.sizes[: len(self.sizes) // 2]

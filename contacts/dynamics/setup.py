@@ -11,6 +11,8 @@ from contacts.dynamics.scales import Scales
 from contacts.scene.parts import Resolution, Simultaneous
 from statechart.arrays import Array
 from statechart.automaton.laws import InstantOf, Setup
+from statechart.engines.compiled_flow import FORCE, GAP, HOLD, IMPLIED, PLAIN, SPEED
+from statechart.kernels.jit import kernel
 
 # Hysteresis of force margins, relative to the force scale: a mode is left below -FORCE_BAND and
 # entered above half of that. It covers the round-off of a solved mode, and is independent of the
@@ -75,9 +77,21 @@ SceneInstant = InstantOf[SceneSetup]
 """End of a flow of a scene."""
 
 
-def tolerated(relative: float) -> tuple[float, float, float]:
-    """Return the tolerances of gap, speed and force in the scene's scales."""
-    return max(10.0 * relative, ROUNDING), max(10.0 * relative, 10.0 * ROUNDING), FORCE_BAND
+def tolerated(relative: float) -> tuple[float, float]:
+    """Return the tolerances of gap and speed in the scene's scales."""
+    return max(10.0 * relative, ROUNDING), max(10.0 * relative, 10.0 * ROUNDING)
+
+
+@kernel
+def write_tolerances(gap: float, speed: float, scales: Array, tolerances: Array) -> None:
+    """Write the tolerances (6,) of all kinds of margins, from those of gap and speed in `scales`.
+
+    For the scales (5,) see `contacts.dynamics.scales.measure`.
+    """
+    tolerances[PLAIN], tolerances[GAP] = 0.0, max(gap * scales[0], scales[4])
+    tolerances[SPEED], tolerances[FORCE] = speed * scales[1], FORCE_BAND * scales[3]
+    tolerances[HOLD] = HOLD_PART * tolerances[FORCE]
+    tolerances[IMPLIED] = IMPLIED_BAND * tolerances[SPEED]
 
 
 def force_uncertainty(relative: float) -> float:

@@ -21,13 +21,12 @@ from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
     FORCE_BAND,
-    HOLD_PART,
-    IMPLIED_BAND,
     ROUNDING,
     SHORT,
     SceneSetup,
     force_uncertainty,
     tolerated,
+    write_tolerances,
 )
 from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.couplings import Rolling, coupling_states
@@ -39,7 +38,7 @@ from contacts.states import implied_joints
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.regions import StopCondition
 from statechart.documents.fields import FormulaText
-from statechart.engines.compiled_flow import ModeTable, tape_of
+from statechart.engines.compiled_flow import KINDS, ModeTable, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
@@ -109,6 +108,7 @@ class SceneNumbers:
         # Quantities with limits `bounds` (2, l), physical ones and shares of light bodies; None if
         # controllers set some of them.
         self.limits: Tape | None = None
+        self.bounds = np.empty((2, 0))
         # Constants are checked when the scene is read.
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
         if all(scene.controlled.region_of(limit.text) is None for limit in varying):
@@ -122,6 +122,11 @@ class SceneNumbers:
                 ranges += [(_MIN_SHARE, math.inf)] * len(shares)
                 self.limits = mechanics.tape([*bounded, *shares])
                 self.bounds = np.array(ranges).reshape(-1, 2).T
+
+    @property
+    def compiled(self) -> bool:
+        """True if `run_numbers` computes the setup of its runs."""
+        return self.limits is not None and MASS_UNIT not in self.places
 
     def at(
         self, overrides: Mapping[str, float], relative: float, *, stepped: bool = False
@@ -160,7 +165,9 @@ class SceneNumbers:
                     advice="look for a logarithm, a root or a quotient without a value there",
                     loc=("stop", "conditions", name),
                 )
-        gap, speed, force = tolerated(relative)
+        gap, speed = tolerated(relative)
+        tolerances = np.empty(len(KINDS))
+        write_tolerances(gap, speed, scales.numbers, tolerances)
         contacts = self.contacts(values)
         if not stepped:
             shares = self._shares.at(initial, values, 0.0).tolist()
@@ -175,18 +182,10 @@ class SceneNumbers:
                     c.point.body for c, law, at_rest in laws if at_rest or law.restitution != 1
                 }
                 warnings += tuple(_light(light, lasting))
-        tolerances = {
-            "gap": max(gap * scales.length, scales.rounding),
-            "speed": speed * scales.speed,
-            "force": force * scales.force,
-            "hold": HOLD_PART * force * scales.force,
-            "implied": IMPLIED_BAND * speed * scales.speed,
-            "plain": 0.0,
-        }
         return SceneSetup(
             values=values,
             initial=initial,
-            tolerances=tolerances,
+            tolerances=dict(zip(KINDS, tolerances.tolist(), strict=True)),
             short=SHORT,
             warnings=(*self.lint, *warnings, *implied, *_far(scales, self.far)),
             sizes=scales.state(initial[self.scale_tape.size :]),
@@ -376,10 +375,8 @@ class Numbers(NamedTuple):
     bands: Array  # (s,): Tolerances of the stop conditions
 
 
-def setup_rules(numbers: SceneNumbers) -> SetupRules | None:
-    """Return the rules of a scene; None if its runs must be set up one by one."""
-    if numbers.limits is None or MASS_UNIT in numbers.places:
-        return None
+def setup_rules(numbers: SceneNumbers) -> SetupRules:
+    """Return the rules of a scene."""
     return SetupRules(
         np.array([-1 if place is None else place for _, place in numbers.inertias], np.int64),
         np.ascontiguousarray(numbers.bounds[0]),

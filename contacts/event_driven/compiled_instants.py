@@ -22,7 +22,7 @@ from contacts.dynamics.gates import (
     write_node_verdicts,
 )
 from contacts.dynamics.snapshot import SCALARS
-from contacts.impacts.impact import ENDED, RAISES, solve_impact
+from contacts.impacts.impact import ENDED, solve_impact
 from contacts.impacts.impulses import strike_group
 from contacts.modes.compiled_classification import (
     InstantConstants,
@@ -30,7 +30,7 @@ from contacts.modes.compiled_classification import (
     violates_constraints,
     write_edges,
 )
-from contacts.states import FREE, OFF_CODE, PIN
+from contacts.states import FREE, OFF_CODE
 from statechart.arrays import Array, Ints
 from statechart.automaton.trace_store import EVENTS, JUMP_OBJECT, TraceBuffer
 from statechart.engines.compiled_flow import (
@@ -51,11 +51,6 @@ from statechart.kernels.jit import kernel
 
 # Contacts within this many tolerances of gaps may meet in a corner.
 _CORNER_GAPS = 16.0
-TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE, ENABLE, DISABLE = range(7)
-"""Causes of changes of a contact's state, see `contacts.states.cause_of`."""
-CAUSES = ("touchdown", "liftoff", "stick", "slip", "reverse", "enable", "disable")
-"""Names of the causes."""
-_PER_CAUSE = len(CAUSES)
 GOES_ON = -1
 
 
@@ -65,7 +60,7 @@ class RunState(NamedTuple):
     clock: Array  # (6,): see `statechart.execution.compiled_loop.T_HIGH`.
     place: Ints  # (6,): see `statechart.execution.compiled_loop.N_MODE`.
     state: Array  # shape (n,)
-    series: Array  # (7 c, ..): of jumps (see `statechart.kernels.accumulation`).
+    series: Array  # (c, ..): of touchdowns (see `statechart.kernels.accumulation`).
     states: Ints  # (c,): state of every contact.
 
 
@@ -120,16 +115,9 @@ def _single_impact(
     )
     if status != ENDED:
         return 0
-    rise = glide = 0.0
     for i in range(n):
-        change = velocity[i] - before[i]
         # As impacts of several contacts at one instant are added up.
-        velocity[i] = before[i] + change
-        rise += jacobian[0, i] * change
-        glide += jacobian[1, i] * change
-    work = normal * (approach + 0.5 * rise) + tangential * (slip + 0.5 * glide)
-    if work > RAISES * (normal * abs(approach) + abs(tangential * slip)):
-        return 0
+        velocity[i] = before[i] + (velocity[i] - before[i])
     impulse[c, 0], impulse[c, 1] = normal, tangential
     return path
 
@@ -270,19 +258,6 @@ def switch_contacts(
 
 
 @kernel
-def _cause(before: int, after: int) -> int:
-    if before == OFF_CODE or after == OFF_CODE:
-        return ENABLE if before == OFF_CODE else DISABLE
-    if before == FREE:
-        return TOUCHDOWN
-    if after == FREE:
-        return LIFTOFF
-    if after == PIN:
-        return STICK
-    return SLIP if before == PIN else REVERSE
-
-
-@kernel
 def mode_row(program: ModeTable, states: Ints) -> int:
     """Return the mode of these states of the contacts; -1 if it is not compiled."""
     modes = program.modes
@@ -299,11 +274,9 @@ def mode_row(program: ModeTable, states: Ints) -> int:
 
 
 @kernel
-def _struck_in_sequence(block: TraceBuffer, row: int, jumps: int) -> bool:
+def _struck_in_sequence(block: TraceBuffer, contact: int, jumps: int) -> bool:
     """Return whether other contacts may have been struck since the last impact of a contact."""
-    if row % _PER_CAUSE != TOUCHDOWN:
-        return False
-    contact, newest = row // _PER_CAUSE, block.used[EVENTS] - 1
+    newest = block.used[EVENTS] - 1
     for event in range(newest, max(newest - jumps, -1), -1):
         struck, group = block.events[event, 4], block.events[event, 5]
         if (
@@ -396,13 +369,12 @@ def jump_instant(
     # After an impact the state may leave the boundary of a condition in another direction.
     place[runs.N_RETRY] = 1 if switches else 2 if struck >= 0 and boundary else 0
     clock[runs.T_SINCE] = high
-    row = _PER_CAUSE * struck + TOUCHDOWN
-    if struck < 0:
-        changed = 0
-        while source[changed] == target[changed]:
-            changed += 1
-        row = _PER_CAUSE * changed + _cause(source[changed], target[changed])
+    # The jump is about the contact that is struck, or the first that changes.
+    landing, first_change = struck, struck < 0
     for c in range(contacts):
+        if first_change and source[c] != target[c]:
+            first_change = False
+            landing = c if source[c] == FREE and target[c] != OFF_CODE else -1
         gap = numbers[scalars + SCALARS * c]
         was_closed = source[c] != FREE and source[c] != OFF_CODE
         if target[c] != FREE:
@@ -411,9 +383,11 @@ def jump_instant(
             # The gap of a flight starts at its round-off.
             watch.parameters[scene.offsets[c]] = gap if abs(gap) <= scene.gap else 0.0
         source[c] = target[c]
-    remaining = add_jump(run.series[row], high, clock[runs.T_LOW], margin >= 0, scene.short)
-    if remaining >= 0.0 and _struck_in_sequence(block, row, place[runs.N_JUMPS]):
-        return runs.ACCUMULATES, row, remaining
+    if landing >= 0:
+        series = run.series[landing]
+        remaining = add_jump(series, high, clock[runs.T_LOW], margin >= 0, scene.short)
+        if remaining >= 0.0 and _struck_in_sequence(block, landing, place[runs.N_JUMPS]):
+            return runs.ACCUMULATES, landing, remaining
     count = place[runs.N_JUMPS]
     steady = count >= STEADY and count & (count - 1) == 0
     if count >= place[runs.N_MOST] or steady:

@@ -7,19 +7,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, cast
 
-from contacts.dynamics.conditions import hidden
 from contacts.dynamics.projection import Projection
 from contacts.dynamics.setup import SceneInstant, SceneSetup
-from contacts.dynamics.setup_evaluation import SceneNumbers, setup_rules
+from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.event_driven.compiled_instants import CAUSES
-from contacts.event_driven.decision import cause, explain_choice
+from contacts.event_driven.decision import cause
 from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.scene_loop import SceneLoop, run_batch
 from contacts.event_driven.switching import alike
 from contacts.impacts.impact import segment_names
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
-from contacts.states import CODES, OFF, OFF_CODE, OPEN
+from contacts.states import CODES, OFF, OFF_CODE
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.laws import Flow, JumpResult, roles_in
@@ -43,10 +41,8 @@ class CompiledSceneLaws:
         ask: Callable[[SceneInstant], JumpResult],
     ) -> None:
         self._names, self._projection, self._ask = names, projection, ask
-        self._snapshots = snapshots
-        self._numbers, conditions = numbers, numbers.conditions
+        self._numbers, conditions, limits = numbers, numbers.conditions, numbers.limits
         self.setup = numbers.at
-        self._rules, limits = setup_rules(numbers), numbers.limits
         self.tapes: tuple[Tape, ...] = snapshots.tape, projection.tape, conditions.tape
         if limits is not None:
             scales = numbers.scale_tape
@@ -55,7 +51,7 @@ class CompiledSceneLaws:
         self._of_margins |= {name: -k for k, name in enumerate(conditions.back, 1)}
         self._conditions = conditions
         self.warnings, self.has_remarks = numbers.lint, conditions.present
-        self.series = tuple((name, cause) for name in names for cause in CAUSES)
+        self.series = tuple((name, "touchdown") for name in names)
 
     def compiled(self) -> bool:
         """Return whether the compiled loop is cached on disk."""
@@ -96,7 +92,7 @@ class CompiledSceneLaws:
 
     def call(self, loop: Loop, relative: float) -> SceneLoop:
         """Return calls of the loop."""
-        return SceneLoop(self._numbers, self._rules, loop, relative)
+        return SceneLoop(self._numbers, loop, relative)
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the contact that an event is about, and its cause."""
@@ -138,26 +134,12 @@ class CompiledSceneLaws:
     ) -> Mapping[str, Any]:
         """Return `impulse` or `considered` of a jump, computed by the laws in Python on demand."""
         numbers = setup()
-        if field == "considered" and (rebound := self._rebound(numbers, event)) is not None:
-            return rebound
         flow, clock = flow_in(numbers, event.source), Clock(event.t)
         at = SceneInstant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
         result = self._ask(at)
         assert result is not None
         assert result[0] is not None
         return {"impulse": result[0].impulse, "considered": result[0].considered}[field]
-
-    def _rebound(self, setup: SceneSetup, event: RecordedEvent) -> Mapping[str, str] | None:
-        """Return the explanation of an impact after which all contacts are open, else None."""
-        all_open = event.source == event.target and all(state in OPEN for state in event.source)
-        if event.struck < 0 or not all_open:
-            return None
-        after = hidden(self._snapshots.at(setup.values, event.after, event.t), event.source)
-        speed_tolerance, gap_tolerance = setup.tolerances["speed"], setup.tolerances["gap"]
-        closed = [contact.gap <= gap_tolerance for contact in after.contacts]
-        if any(after.remaining(closed, speed_tolerance)):
-            return None
-        return explain_choice({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
 
     def _modes(self, event: RecordedEvent) -> Iterator[str]:
         """Yield the modes of the contacts of a group in a plastic impact."""

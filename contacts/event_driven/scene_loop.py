@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import BLIND_GAP, CREEP, DRIFT
 from contacts.dynamics.setup import (
-    FORCE_BAND,
-    HOLD_PART,
-    IMPLIED_BAND,
     SHORT,
     TIE,
     SceneSetup,
     force_uncertainty,
     tolerated,
+    write_tolerances,
 )
 from contacts.dynamics.setup_evaluation import (
     LOOK_AHEAD,
@@ -28,11 +26,11 @@ from contacts.dynamics.setup_evaluation import (
     SetupRules,
     run_buffer,
     run_numbers,
+    setup_rules,
 )
 from contacts.dynamics.snapshot import SCALARS
 from contacts.dynamics.starting import starts_hovering
 from contacts.event_driven.compiled_instants import (
-    CAUSES,
     GOES_ON,
     RunState,
     conditions,
@@ -44,7 +42,7 @@ from contacts.event_driven.compiled_instants import (
 from contacts.impacts.impact import MEANINGS
 from contacts.modes.compiled_classification import InstantConstants, allowed, classify
 from contacts.scene.parts import MOREAU
-from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
+from contacts.states import FREE, OFF_CODE, PIN, STATES, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
 from statechart.engines.compiled_flow import (
@@ -52,8 +50,6 @@ from statechart.engines.compiled_flow import (
     FIRST_STOP,
     FORCE,
     GAP,
-    HOLD,
-    IMPLIED,
     KINDS,
     LAWS_AT,
     MARGIN_TAPE,
@@ -70,6 +66,7 @@ from statechart.engines.compiled_flow import (
     flow_to_event,
     is_on_stop_boundary,
 )
+from statechart.engines.taylor_loop import advance_clock
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD as NEXT_LOOK
 from statechart.execution.compiled_loop import BatchInputs, BatchResult, Loop
@@ -104,13 +101,13 @@ class SceneConstants(NamedTuple):
     fixed: Array
     # (b,): index of each margin's tolerance among the bands of `Numbers`; -1 for none.
     sources: Ints
-    starts: Bools  # (c, 6): whether a contact may start in the state of that code.
+    starts: Bools  # (c, 10): whether a contact may start in the state of that code.
     # Tolerances of gaps and speeds, and uncertainty of forces, in the scene's scales.
     gap: float
     speed: float
     force_uncertainty: float
     numbers: Numbers  # Buffer: the numbers of a run.
-    series: Array  # (7 c, ..): of its jumps, for every contact and cause.
+    series: Array  # (c, ..): of the touchdowns of every contact.
 
 
 @kernel
@@ -291,17 +288,6 @@ def _write_constraints(
 
 
 @kernel
-def _advance(clock: Array, elapsed: float) -> None:
-    """Advance the clock of a run as `statechart.automaton.clock.Clock.later` does."""
-    high = clock[runs.T_HIGH]
-    total = high + elapsed
-    rounded = total - high
-    error = (high - (total - rounded)) + (elapsed - rounded) + clock[runs.T_LOW]
-    clock[runs.T_HIGH] = total + error
-    clock[runs.T_LOW] = error - (clock[runs.T_HIGH] - total)
-
-
-@kernel
 def _run(
     program: ModeTable, watch: FlowInputs, workspace: FlowWorkspace, scene: InstantConstants,
     block: TraceBuffer, run: RunState, entered: Bools,
@@ -355,7 +341,7 @@ def _run(
         if steps > 0:
             _record_arc(block, workspace, mode, place[runs.N_JUMPS], steps, high, low)
             elapsed = workspace.times[steps]
-            _advance(clock, elapsed)
+            advance_clock(clock, elapsed)
             if elapsed > 0.0:
                 clock[runs.T_HORIZON] = NEXT_LOOK * max(
                     elapsed, clock[runs.T_HIGH] - clock[runs.T_SINCE]
@@ -388,13 +374,6 @@ def _run(
             return runs.FELL, -1, 0.0
 
 
-@kernel
-def _tolerances(scene: SceneConstants, scales: Array, kinds: Array) -> None:
-    kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
-    kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
-    kinds[HOLD], kinds[IMPLIED] = HOLD_PART * kinds[FORCE], IMPLIED_BAND * kinds[SPEED]
-
-
 @kernel(interpreted=False)
 def run_batch(
     program: ModeTable, workspace: FlowWorkspace, scene: SceneConstants, first_watch: FlowInputs,
@@ -424,7 +403,7 @@ def run_batch(
             if _zeros_differ(numbers.values, batch.zeros):
                 ends[runs.HOW] = runs.OTHER
                 continue
-            _tolerances(scene, numbers.scales, first_watch.kinds)
+            write_tolerances(scene.gap, scene.speed, numbers.scales, first_watch.kinds)
         watch, instants = _write_inputs(scene, batch.floor, first_watch, first_instants)
         if not batch.resumed:
             copy_numbers(numbers.initial, state)
@@ -474,22 +453,18 @@ def run_batch(
 
 
 _Program = tuple[Ints32, Array, Ints32]
-_STATE_NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
 
 
 class SceneLoop:
     """Calls of the compiled loop of a scene (see `statechart.automaton.laws.CompiledLaws.call`).
 
-    Without `rules` the loop starts no runs; `relative` is the tolerance of the integration.
+    `relative` is the tolerance of the integration.
     """
 
-    def __init__(
-        self, numbers: SceneNumbers, rules: SetupRules | None, loop: Loop, relative: float
-    ) -> None:
-        self.loop, self.starts, self._setup = loop, rules is not None, numbers
+    def __init__(self, numbers: SceneNumbers, loop: Loop, relative: float) -> None:
+        self.loop, self.starts, self._setup = loop, numbers.compiled, numbers
         laws = numbers.contacts(np.zeros(len(numbers.parameters.names)))
-        rules = rules or no_rules(numbers)
-        self._scene = _declared(numbers, rules, loop, laws, relative)
+        self._scene = _declared(numbers, loop, laws, relative)
         self._buffers = _buffers(numbers, loop, laws)
         self.series = self._scene.series
         # Parameters -> tape of the setup, indices of its inputs and of these, other inputs.
@@ -524,11 +499,8 @@ class SceneLoop:
     ) -> None:
         """Resume a run."""
         numbers, (watch, _) = self._scene.numbers, self._buffers
-        scales = setup.scales
         numbers.values[:], numbers.sizes[:] = result.values[0], setup.sizes
-        numbers.scales[:] = (
-            scales.length, scales.speed, scales.acceleration, scales.force, scales.rounding,
-        )  # fmt: skip
+        numbers.scales[:] = setup.scales.numbers
         numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
         watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
         scene = self._scene._replace(
@@ -552,19 +524,12 @@ _RESUMED = BatchInputs(
 )  # fmt: skip
 
 
-def no_rules(numbers: SceneNumbers) -> SetupRules:
-    """Return empty rules for a loop that starts no runs."""
-    no_numbers, no_places = np.empty(0), np.empty(0, np.int64)
-    forced = np.zeros(len(numbers.stops), np.bool_)
-    return SetupRules(no_places, no_numbers, no_numbers, no_places, 0, 0, 0, forced, numbers.far)
-
-
 def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
-    """Return a mask (c, 6) of the state codes in which a contact may start."""
-    may_start = np.zeros((len(names), len(_STATE_NAMES)), np.bool_)
+    """Return a mask (c, 10) of the state codes in which a contact may start."""
+    may_start = np.zeros((len(names), len(STATES)), np.bool_)
     for place, name in enumerate(names):
         declared_state = declared.get(name)
-        for code, state in _STATE_NAMES.items():
+        for code, state in STATES.items():
             names_of_state = {state, *superstates_of((state,)).values()}
             may_start[place, code] = declared_state is None or declared_state in names_of_state
     return may_start
@@ -572,13 +537,12 @@ def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
 
 def _declared(
     numbers: SceneNumbers,
-    rules: SetupRules,
     loop: Loop,
     laws: Sequence[ContactLaw],
     relative: float,
 ) -> SceneConstants:
     count = len(laws)
-    gap, speed, _ = tolerated(relative)
+    (gap, speed), rules = tolerated(relative), setup_rules(numbers)
     stops = [*numbers.stops]
     return SceneConstants(
         loop.tapes,
@@ -590,7 +554,7 @@ def _declared(
         speed,
         force_uncertainty(relative),
         run_buffer(len(numbers.parameters.names), len(loop.workspace.state), rules),
-        np.empty((max(len(CAUSES) * count, 4), WIDTH)),
+        np.empty((max(count, 4), WIDTH)),
     )
 
 

@@ -27,9 +27,9 @@ from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, SingularMode
 from statechart.kernels.jit import kernel
 
-ENDED, WEDGED, ENDLESS, POWERLESS, UNSOLVED = range(5)
-"""Status of a path: complete, wedged while pushed on by a joint, without an end, without effect on
-the contact's velocity, numerically unsolved."""
+ENDED, RAISED, WEDGED, ENDLESS, POWERLESS, UNSOLVED = range(6)
+"""Status of a path: complete, complete with an energy that it raised, wedged while pushed on by a
+joint, without an end, without effect on the contact's velocity, numerically unsolved."""
 
 NEWTON, POISSON, STRONGE = range(3)
 """Kinds of restitution."""
@@ -47,8 +47,8 @@ MEANINGS: Mapping[str, int] = {
 _SEGMENTS = {SLIP: "slip", SLIP_PLUS: "slip+", SLIP_MINUS: "slip-", STICK: "stick", WEDGE: "wedge"}
 
 _MAX_SEGMENTS = 8
-RAISES = 1e-9
-"""Relative work of an impact above which a warning says that it raised the energy."""
+# Relative work of an impact above which it raises the energy.
+_RAISES = 1e-9
 # Errors of a rate below this part of its terms are not corrected.
 _PATH_ROUND_OFF = 8 * 2.0**-52
 
@@ -152,14 +152,15 @@ def solve_impact(
     """
     size = len(velocity)
     before, change = velocity.copy(), np.empty(len(velocity))
-    approach, u_t = rates
-    u_n, normal, tangential, work = approach, 0.0, 0.0, 0.0
+    approach, slip = rates
+    u_n, u_t = rates
+    normal = tangential = work = total_work = 0.0
     compressed, stored, compressing = 0.0, 0.0, True
     path, segments, last_segment = 0, 0, 0
     for _ in range(_MAX_SEGMENTS):
         status, name, un, ut, pn, pt = _next_segment(mass, jacobian, cone, u_t, change)
         if status != ENDED:
-            return status, normal, tangential, path, u_n, u_t
+            break
         terms = 0.0
         for i in range(size):
             terms += abs(jacobian[0, i]) * (abs(velocity[i]) + abs(before[i]))
@@ -170,7 +171,9 @@ def solve_impact(
             # With one degree of freedom both velocities vanish at once; friction may then prevent
             # the rebound.
             pushed_on = u_n < -_PATH_ROUND_OFF * terms
-            return WEDGED if pushed_on else ENDED, normal, tangential, path, u_n, u_t
+            status = WEDGED if pushed_on else ENDED
+            break
+        status = ENDLESS
         to_stop = -u_t / ut if u_t * ut < 0.0 else math.inf
         if braking and u_t != 0.0:
             to_end = math.inf
@@ -186,7 +189,9 @@ def solve_impact(
         length = min(to_stop, to_end)
         if not length < math.inf:
             break
-        work += pn * length * (u_n + 0.5 * un * length)
+        normal_work = pn * length * (u_n + 0.5 * un * length)
+        work += normal_work
+        total_work += normal_work + pt * length * (u_t + 0.5 * ut * length)
         for i in range(size):
             velocity[i] += change[i] * length
         normal += pn * length
@@ -206,10 +211,13 @@ def solve_impact(
                         velocity[i] += change[i] * un * residual
                     normal += pn * un * residual
                     tangential += pt * un * residual
-                return ENDED, normal, tangential, path, u_n, u_t
+                status = ENDED
+                break
             compressing, compressed = False, normal
             stored, work = -work, 0.0
-    return ENDLESS, normal, tangential, path, u_n, u_t
+    if status == ENDED and total_work > _RAISES * (normal * abs(approach) + abs(tangential * slip)):
+        status = RAISED
+    return status, normal, tangential, path, u_n, u_t
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,6 +231,7 @@ class Impact:
     normal: float
     tangential: float
     path: tuple[str, ...]
+    raises_energy: bool = False
 
 
 def impact(
@@ -249,8 +258,8 @@ def impact(
         velocity,
     )
     path = segment_names(code)
-    if status == ENDED:
-        return Impact(velocity, normal, tangential, path)
+    if status in (ENDED, RAISED):
+        return Impact(velocity, normal, tangential, path, status == RAISED)
     if status == UNSOLVED:
         raise SingularMode(numbers.INEXACT_SYSTEM)
     reasons = {

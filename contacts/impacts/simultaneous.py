@@ -17,7 +17,7 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import Snapshot
-from contacts.impacts.impact import RAISES, Impact, impact
+from contacts.impacts.impact import impact
 from contacts.impacts.impulses import (
     ImpactProblem,
     Impulses,
@@ -106,20 +106,10 @@ def _single_impact(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -
     impulses = np.zeros((len(laws), 2))
     impulses[place] = result.normal, result.tangential
     change = result.velocity - snapshot.velocity
-    raised = _raises_energy(snapshot, place, result, change)
-    warning = f"{law.name}: the impact law {law.impact!r} raised the energy" if raised else ""
+    raised = f"{law.name}: the impact law {law.impact!r} raised the energy"
+    warning = raised if result.raises_energy else ""
     path = [f"{law.name} {' '.join(result.path)}"]
     return _GroupImpacts(change, impulses, path, warning)
-
-
-def _raises_energy(snapshot: Snapshot, place: int, result: Impact, change: Array) -> bool:
-    """Return whether the impulse increases the kinetic energy beyond round-off."""
-    contact = snapshot.contacts[place]
-    normal, tangential = (snapshot.jacobians[place] @ change).tolist()
-    work = result.normal * (contact.gap_rate + 0.5 * normal)
-    work += result.tangential * (contact.slip + 0.5 * tangential)
-    size = result.normal * abs(contact.gap_rate) + abs(result.tangential * contact.slip)
-    return work > RAISES * size
 
 
 def _solve_simultaneously(

@@ -53,7 +53,7 @@ def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
     """Return whether a contact is on a straight surface at rest."""
     surfaces = numbers.surfaces
     s = split_key(numbers, key)[1] - len(numbers.pieces.sizes)
-    if s < 0 or surfaces.carriers[s] >= 0 or surfaces.moves[s]:
+    if s < 0 or surfaces.carriers[s] >= 0:
         return False
     if surfaces.kinds[s] != PLATE:
         return surfaces.kinds[s] == LINE
@@ -68,9 +68,9 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
     for b in range(len(counts)):
         counts[b] = 0
     for j in range(len(numbers.joints.kinds)):
-        for side in range(2):
-            if numbers.joints.bodies[j, side] >= 0:
-                counts[numbers.joints.bodies[j, side]] = -1
+        for b in numbers.joints.bodies[j]:
+            if b < len(counts):
+                counts[b] = -1
     for c in range(len(numbers.couplings.holds)):
         for b in numbers.couplings.bodies[c]:
             if 0 <= b < len(counts):

@@ -27,7 +27,6 @@ from contacts.collision_detection.couplings import (
     read_limits,
 )
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
-from contacts.collision_detection.ground import Ground
 from contacts.collision_detection.joints import OFF, add_joints, is_bound, joint_forces
 from contacts.collision_detection.midpoint import (
     Midpoint,
@@ -338,29 +337,13 @@ def _remember(warm: WarmStart, copy: WarmStart) -> None:
 
 
 @kernel
-def _hurry(numbers: BodyNumbers, state: Array, poses: Array, mid: Midpoint, h: float) -> bool:
-    """Return whether a body moves in a step by more than `_FAR` sizes of the smallest body.
-
-    Led bodies move between `poses`, linked ones by their coordinates at the midpoint.
-    """
-    count, least, most, links = len(numbers.inverse), math.inf, 0.0, numbers.links
-    free = count - links.bodies
-    n = 3 * free + links.size
-    for b in range(len(numbers.sizes)):
-        size, at, led = numbers.sizes[b], n + 3 * b, b - count
-        if size > 0.0:
-            least = min(least, size)
-            if free <= b < count:
-                for j in range(links.size):
-                    x, y, turn = mid.links.gradients[b - free, :, j]
-                    rate = h * abs(state[n + 3 * free + j])
-                    most = max(most, rate * (math.hypot(x, y) + size * abs(turn)))
-            elif led < 0:
-                way = h * math.hypot(state[at], state[at + 1]) + h * size * abs(state[at + 2])
-                most = max(most, way)
-            elif led < poses.shape[1]:
-                x, y, turn = poses[1, led] - poses[0, led]
-                most = max(most, math.hypot(x, y) + size * abs(turn))
+def _hurry(sizes: Array, rates: Array, h: float) -> bool:
+    """Return whether a body (b,) moves in a step by more than `_FAR` sizes of the smallest one."""
+    least, most = math.inf, 0.0
+    for b in range(len(sizes)):
+        if sizes[b] > 0.0:
+            speed = math.hypot(rates[b, 0], rates[b, 1]) + sizes[b] * abs(rates[b, 2])
+            least, most = min(least, sizes[b]), max(most, h * speed)
     return most > _FAR * least
 
 
@@ -387,10 +370,9 @@ def step_bodies(
     first, whole = 3 * (len(numbers.inverse) - links.bodies), len(numbers.sizes)
     n, state = first + links.size, chunk.states[0].copy()
     old, loose, active = space.mid.old_rates, space.mid.free_rates, space.active
-    surfaces = numbers.surfaces
-    registers = allocate_registers(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
-    registers[1][1] = 0.0
-    frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), prescribed.forces
+    surfaces, sizes = numbers.surfaces, numbers.sizes
+    ground = allocate_registers(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
+    ground[1][1], applied = 0.0, prescribed.forces
     bounds, limits = prescribed.limits, space.limits
     width = 2 * n + prescribed.controller_states.shape[1]
     acting = allocate_registers(applied.code, applied.constants, applied.values, width, 1)
@@ -400,12 +382,12 @@ def step_bodies(
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     # The detection after the last step decides on its acceptance.
     for k in range(steps + 1):
-        poses = prescribed.poses[k : k + 3]
-        if k == steps and not (deepest < math.inf and _hurry(numbers, state, poses, space.mid, h)):
+        # The rates after the last step.
+        if k == steps and not (deepest < math.inf and _hurry(sizes, rates, h)):
             break
-        ground = Ground(prescribed.frames[k : k + 3], registers, frames, still)
         if links.bodies > 0 and not place_links(numbers, state, h, linking, space.mid):
             return k, BAD_INERTIA if k < steps else DONE
+        poses = prescribed.poses[k : k + 3]
         move_to_midpoint(numbers, state, poses, h, warm.last_step[0], space.mid)
         time, memories = start + (done + k + 0.5) * h, prescribed.controller_states[k + 1]
         if len(limits) > 0:
@@ -425,7 +407,7 @@ def step_bodies(
             detected.passed > 0.0 or detected.unexplained_depth > 0.0 or detected.closing > deepest
         )
         if deepest < math.inf and coarse:
-            if k == 0 or not _hurry(numbers, state, poses, space.mid, h):
+            if k == 0 or not _hurry(sizes, rates, h):
                 return k, COARSE
             _remember(space.earlier, warm)
             return k - 1, COARSE
@@ -434,8 +416,7 @@ def step_bodies(
         _remember(warm, space.earlier)
         count, joins = detected.contacts, len(numbers.joints.kinds) > 0
         if joins:
-            places = prescribed.places[k : k + 3]
-            count = add_joints(numbers, places, warm, space.mid, h, count, active)
+            count = add_joints(numbers, warm, space.mid, h, count, active)
         first_coupling = count
         count = add_couplings(numbers, limits, warm, space.mid, h, count, active)
         lands = _may_land(active, law, first_coupling)

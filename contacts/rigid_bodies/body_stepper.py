@@ -24,16 +24,19 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.starting import check_limits
 from contacts.rigid_bodies.body_step import StepOptions
 from contacts.rigid_bodies.declared_numbers import (
+    body_names,
     body_numbers,
     closed_joints,
     implied_remarks,
+    led_parts,
     link_numbers,
+    rotated,
     touchable_surfaces,
 )
 from contacts.rigid_bodies.default_step import default_step, forced_speed, led_speed
-from contacts.rigid_bodies.initial_penetration import check_containers, check_penetration
+from contacts.rigid_bodies.initial_penetration import check_penetration
 from contacts.rigid_bodies.mechanics import BodyMechanics
-from contacts.rigid_bodies.prescribed_motion import Paths, Positions, PrescribedMotion
+from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
 from contacts.scene.expansion import start_problem
@@ -117,27 +120,31 @@ def bodies_automaton(scene: Scene) -> Automaton:
     )
 
 
-def extent(bodies: BodyNumbers, places: Array, at: Positions) -> float:
+def extent(bodies: BodyNumbers, placed: Array, paths: Paths) -> float:
     """Return the extent of a scene: its bodies, surfaces and anchors; infinite with a graph.
 
-    An endless line counts where it is nearest to bodies. `places` (b, 2): moving bodies; `at`: one
-    instant of the paths. A guide (`to: {x: f}`) counts by its anchor.
+    `placed` (b, 3): the poses of all bodies. An endless line counts where it is nearest to moving
+    ones, a guide (`to: {x: f}`) by its anchor. Surfaces on moving bodies do not count.
     """
-    surfaces, joints = bodies.surfaces, bodies.joints
-    anchors = joints.owners[(joints.bodies < 0).any(axis=1)]
-    found = [places, bodies.fixed[:, :2], at.poses[0, :, :2], at.places[0, anchors]]
-    for kind, numbers, carrier in zip(
-        surfaces.kinds, surfaces.numbers, surfaces.carriers, strict=True
+    surfaces, moving = bodies.surfaces, len(bodies.inverse)
+    places, first = placed[:moving, :2], moving + paths.bodies
+    found = [places, placed[moving:first, :2], placed[first + paths.surfaces :, :2]]
+    frames = np.concatenate([placed, np.zeros((1, 3))])[surfaces.carriers]
+    points = frames[:, None, :2] + rotated(frames[:, None, 2], surfaces.numbers.reshape(-1, 2, 2))
+    for kind, carrier, (one, other), frame, numbers in zip(
+        surfaces.kinds, surfaces.carriers, points, frames, surfaces.numbers, strict=True
     ):
-        point, rest = numbers[:2], numbers[2:]
         if kind == GRAPH:
             return math.inf
-        if kind == LINE and carrier < 0:
-            found.append(places - ((places - point) @ rest)[:, None] * rest)
-        elif kind == PLATE and carrier < 0:
-            found.append(numbers.reshape(2, 2))
-        elif carrier < 0:
-            found.append(point + rest[0] * np.array([[-1.0, -1.0], [1.0, 1.0]]))
+        if 0 <= carrier < moving:
+            continue
+        if kind == LINE:
+            normal = other - frame[:2]
+            found.append(places - ((places - one) @ normal)[:, None] * normal)
+        elif kind == PLATE:
+            found.append(np.stack([one, other]))
+        else:
+            found.append(one + numbers[2] * np.array([[-1.0, -1.0], [1.0, 1.0]]))
     return float(np.hypot(*np.ptp(np.concatenate(found), axis=0)))
 
 
@@ -167,7 +174,7 @@ class BodyStepper(Stepper):
         self._paths = Paths(mechanics)
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
-        self._names = list(mechanics.scene.bodies)
+        self._names = body_names(mechanics.scene, mechanics.scene.owners())
         self._surfaces = touchable_surfaces(mechanics.scene)
         self._warnings = (*lint(declared), *undecided_couplings(mechanics))
 
@@ -216,7 +223,8 @@ class BodyStepper(Stepper):
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
         warnings = self._replaced_laws(setup)
-        return RunInputs(setup, bodies, free, warnings, self.controls, failure)
+        unknown = np.full(self.stops.unknowns, np.nan)
+        return RunInputs(setup, bodies, free, warnings, self.controls, unknown, failure)
 
     def _new_run(
         self, overrides: Mapping[str, float], tolerance: float, forces: bool, step: float = 0.0
@@ -269,16 +277,18 @@ class BodyStepper(Stepper):
         self, values: Array, placed: Array, remembered: Array, bodies: BodyNumbers
     ) -> SceneSetup:
         """Return the setup of a run, in scales of the initial positions and sizes."""
-        owners = self._bodies.owners
         largest = int(np.argmax(bodies.sizes))
-        check_range(float(bodies.sizes[largest]), "its size", ("bodies", owners[largest], "shape"))
+        owner = self._owners[self._names[largest]]
+        check_range(float(bodies.sizes[largest]), "its size", ("bodies", owner, "shape"))
         for number in bodies.gravity.tolist():
             check_range(number, "", ("gravity",))
         own = bodies.sizes[: len(bodies.inverse)]
         poses, rates = bodies.motion(placed[None])
         reach = length = float(np.abs(poses[..., :2]).max() + own.max())
-        led = self._paths.at(values, np.zeros(1), remembered[None])
-        within = float(extent(bodies, poses[0, :, :2], led) + own.max())
+        every = bodies.poses(placed[None], self._paths.at(values, np.zeros(1), remembered[None]))[0]
+        # A path without a value at the start is refused later.
+        with np.errstate(invalid="ignore"):
+            within = float(extent(bodies, every, self._paths) + own.max())
         if within > 0.0:
             length = min(length, _MAX_LENGTH * within)
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
@@ -306,7 +316,7 @@ class BodyStepper(Stepper):
             sizes=scales.state(remembered),
             warnings=(
                 *self._warnings,
-                *implied_remarks(self._scene, bodies, poses[0]),
+                *implied_remarks(self._scene, bodies, every),
             ),
             rounded=RELATIVE,
         )  # fmt: skip
@@ -318,7 +328,7 @@ class BodyStepper(Stepper):
         known: Mapping[str, float],
         run_of: Callable[[BodyNumbers], RigidBodyRun],
     ) -> tuple[BodyNumbers, float, tuple[str, ...]]:
-        """Check that bodies start inside hollow circles, with closed joints, and apart.
+        """Check that bodies start with closed joints, and apart.
 
         Returns the bodies with joints closed to round-off, their largest depth, and a warning of
         it.
@@ -330,28 +340,25 @@ class BodyStepper(Stepper):
         run_of(bodies).capture(remembered)
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
-        positions = self._paths.at(setup.values, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
-        led = [owners[self._names.index(name)] for name in self._paths.led]
-        for part, names, frames, angle, place in (
-            ("surfaces", self._surfaces, positions.frames[0], "turn", "displacement"),
-            ("bodies", led, positions.poses[0], "angle", "position"),
-        ):
-            for name, frame in zip(names, frames, strict=True):
-                if not np.isfinite(frame).all():
+        led = self._paths.at(setup.values, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
+        paths = (("bodies", "position", "angle"), ("surfaces", "displacement", "turn"),
+                 ("joints", "to", "to"))  # fmt: skip
+        places = iter(led[0])
+        for names, (part, place, angle) in zip(led_parts(scene), paths, strict=True):
+            for name, pose in zip(names, places, strict=False):
+                if not np.isfinite(pose).all():
                     raise DeclarationProblem(
                         "has no value at the start, or an infinite one",
-                        loc=(part, name, place if np.isfinite(frame[2]) else angle),
-                    )
-        check_containers(scene, owners, bodies, placed, positions)
+                        loc=(part, self._owners.get(name, name),
+                             place if np.isfinite(pose[2]) else angle),
+                    )  # fmt: skip
         # One-sided differences of second order: a path need not exist before the start.
-        moved = positions.places[1:] - positions.places[0]
+        moved = led[1:] - led[0]
         rates = (2.0 * moved[0] - 0.5 * moved[1]) / soon
         slow = _START_DEPTH * speed + 2.5 * setup.scales.rounding / soon
         try:
-            joints = closed_joints(
-                scene, bodies.joints, np.concatenate(bodies.motion(placed[None])),
-                positions.places[0], rates, _START_DEPTH * length, slow,
-            )  # fmt: skip
+            every = bodies.moved(placed, np.stack([led[0], rates]))
+            joints = closed_joints(scene, bodies.joints, every, _START_DEPTH * length, slow)
         except DeclarationProblem as problem:
             raise start_problem(scene, problem, known) from None
         bodies = bodies._replace(joints=joints)

@@ -53,12 +53,47 @@ def touchable_surfaces(scene: Scene) -> list[str]:
     return [name for name in scene.surfaces if name in used]
 
 
+def led_parts(scene: Scene) -> tuple[list[str], list[str], list[str]]:
+    """Return the names of led bodies, of moving surfaces, and of joints with an anchor.
+
+    Surfaces and anchors are led bodies without a shape.
+    """
+    bodies, owners = scene.bodies, scene.owners().items()
+    return (
+        [n for n, owner in owners if bodies[owner].prescribed and not bodies[owner].fixed],
+        [name for name in touchable_surfaces(scene) if scene.surfaces[name].moves],
+        [name for name, joint in scene.joints.items() if not isinstance(joint.to, Point)],
+    )
+
+
+def body_names(scene: Scene, owners: Mapping[str, str]) -> list[str]:
+    """Return the names of bodies, copies one by one, in the order of `BodyNumbers`.
+
+    `owners` are their declared bodies.
+    """
+    _, surfaces, joints = led_parts(scene)
+    fixed = [name for name, owner in owners.items() if scene.bodies[owner].fixed]
+    without_shape = [*map(surface_title, surfaces), *map(joint_title, joints)]
+    return [*[*owners][: len(owners) - len(fixed)], *without_shape, *fixed]
+
+
+def surface_title(name: str) -> str:
+    """Return the name of a surface in messages, and of the body that moves it."""
+    return f"surface {name!r}"
+
+
+def joint_title(name: str) -> str:
+    """Return the name of a joint in messages, and of the body that is its anchor."""
+    return f"joint {name!r}"
+
+
 def surface_numbers(
     scene: Scene, bodies: Sequence[str], known: Mapping[str, float]
 ) -> SurfaceNumbers:
-    """Evaluate the surfaces of a scene."""
-    number = evaluator(known)
-    surfaces = [scene.surfaces[name] for name in touchable_surfaces(scene)]
+    """Evaluate the surfaces of a scene; `bodies` are those of `body_names`."""
+    number, names = evaluator(known), touchable_surfaces(scene)
+    surfaces = [scene.surfaces[name] for name in names]
+    places = {name: b for b, name in enumerate(bodies)}
     forms = [_form(surface, number) for surface in surfaces]
     heights = tuple(
         str(surface.height)
@@ -68,29 +103,42 @@ def surface_numbers(
     program = _program(heights, tuple(known))
     graphs = np.cumsum([kind == GRAPH for kind, _ in forms], dtype=np.int64) - 1
     values = np.array([*known.values()], dtype=float)
-
+    carriers = [
+        places.get(surface_title(name), -1) if surface.body is None else places[surface.body]
+        for name, surface in zip(names, surfaces, strict=True)
+    ]
     return SurfaceNumbers(
         np.array([kind for kind, _ in forms], dtype=np.int64),
         np.array([numbers for _, numbers in forms], dtype=float).reshape(-1, 4),
-        np.array([-1 if s.body is None else bodies.index(s.body) for s in surfaces], np.int64),
-        np.array([s.moves for s in surfaces], np.bool_),
+        np.array(carriers, np.int64),
         3 * graphs,
         *program.program,
         values,
     )
 
 
+def turns_about_pivot(surface: Surface) -> bool:
+    """Return whether the body that moves a surface has its origin at the pivot: not with a graph.
+
+    The velocities of a circle that turns about its centre are then exact.
+    """
+    return surface.moves and (
+        surface.straight or surface.circle is not None or surface.edge is not None
+    )
+
+
 def _form(surface: Surface, number: Number) -> tuple[int, _Numbers]:
     """Return the kind of a surface, and its numbers."""
+    u, v = map(number, surface.pivot) if turns_about_pivot(surface) else (0.0, 0.0)
     if surface.straight:
         (x, y), (along, up) = surface.point_and_direction(number)
-        return LINE, (x, y, 0.0 - up, along)
+        return LINE, (x - u, y - v, 0.0 - up, along)
     if surface.circle is not None and surface.radius is not None:
         x, y = (number(text) for text in surface.circle)
-        return HOLLOW if surface.hollow else ROUND, (x, y, number(surface.radius), 0.0)
+        return HOLLOW if surface.hollow else ROUND, (x - u, y - v, number(surface.radius), 0.0)
     if surface.edge is not None:
         (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in surface.edge)
-        return PLATE, (x0, y0, x1, y1)
+        return PLATE, (x0 - u, y0 - v, x1 - u, y1 - v)
     return GRAPH, (0.0, 0.0, 0.0, 0.0)
 
 
@@ -115,15 +163,17 @@ def symbols_of(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
 _KINDS = {
     ("X", "Y"): BOTH, ("X",): ALONG_X, ("Y",): ALONG_Y, ("T",): ROD, ("V", "H"): ROPE,
 }  # fmt: skip
-_COMPONENTS = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}
+# Components x, y and angle that the kinds of joint rows hold.
+_HELD = np.zeros((GREATEST + 1, 3))
+_HELD[BOTH, :2] = _HELD[ALONG_X, 0] = _HELD[ALONG_Y, 1] = _HELD[TURN, 2] = 1.0
 
 
 def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]) -> JointNumbers:
-    """Evaluate the joints of a scene; `names` are its bodies, copies one by one."""
+    """Evaluate the joints of a scene; `names` are those of `body_names`."""
     # Captured poses are known when joints close.
     number = evaluator({**dict.fromkeys(scene.controlled.controller_state, 0.0), **known})
     bodies, at, rows, angles = [], [], [], []
-    for j, joint in enumerate(scene.joints.values()):
+    for j, (name, joint) in enumerate(scene.joints.items()):
         rebound = number(joint.restitution or 0)
         length = joint.rope if joint.rod is None else joint.rod
         kind = _KINDS[tuple(c for c in joint.components if c != "M")]
@@ -132,9 +182,10 @@ def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]
             angles.append((TURN, j, 0.0, 0.0))
         for bound, limit in zip((LEAST, GREATEST), joint.limits or (), strict=False):
             angles.append((bound, j, number(limit), rebound))
-        ends = [joint.point, joint.to if isinstance(joint.to, Point) else None]
-        bodies.append([-1 if end is None else names.index(end.body) for end in ends])
-        at.append([[0.0, 0.0] if end is None else [*map(number, end.at)] for end in ends])
+        point, to = joint.point, joint.to if isinstance(joint.to, Point) else None
+        other, end = (joint_title(name), (0, 0)) if to is None else (to.body, to.at)
+        bodies.append([names.index(point.body), names.index(other)])
+        at.append([[*map(number, point.at)], [*map(number, end)]])
     table = np.array(rows + angles, dtype=float).reshape(-1, 4)
     owners, initial = table[:, 1].astype(np.int64), scene.controlled.initial
     return JointNumbers(
@@ -151,7 +202,7 @@ def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]
 def coupling_numbers(
     scene: Scene, names: Sequence[str], known: Mapping[str, float]
 ) -> CouplingNumbers:
-    """Evaluate the couplings of a scene; `names` are its bodies, copies one by one."""
+    """Evaluate the couplings of a scene; `names` are those of `body_names`."""
     bodies, signs, holds, at, levers = [], [], [], [], []
     single, number = scene.single_bodies(), evaluator(known)
     for name, coupling in scene.couplings.items():
@@ -178,10 +229,37 @@ def coupling_numbers(
 _ANGLE_NEAR = 1e-9
 
 
+def rotated(angles: Array, points: Array) -> Array:
+    """Return points (..., 2) of body frames, rotated by angles (...)."""
+    c, s = np.cos(angles), np.sin(angles)
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def joint_ends(joints: JointNumbers, moved: Array) -> tuple[Array, Array, Array]:
+    """Return arms, positions and velocities (j, 2, 2) of the ends of joints.
+
+    `moved` (2, b, 3): poses and rates of all bodies.
+    """
+    poses, rates = moved[:, joints.bodies]
+    arms = rotated(poses[..., 2], joints.points)
+    turned = rates[..., 2:] * np.stack([-arms[..., 1], arms[..., 0]], axis=-1)
+    return arms, poses[..., :2] + arms, rates[..., :2] + turned
+
+
+def openings(joints: JointNumbers, ends: Array) -> Array:
+    """Return the distances (j,) by which joints are open; ropes up to their length are not."""
+    kinds, way = joints.kinds, ends[:, 0] - ends[:, 1]
+    too_far = np.hypot(*way.T) - joints.sizes[:, 0]
+    open_by: Array = np.hypot(*(way * _HELD[kinds, :2]).T)
+    open_by[kinds == ROD] = np.abs(too_far[kinds == ROD])
+    open_by[kinds == ROPE] = np.maximum(too_far[kinds == ROPE], 0.0)
+    return open_by
+
+
 def closed_joints(
-    scene: Scene, joints: JointNumbers, moved: Array, places: Array, speeds: Array, near: float,
-    slow: float,
-) -> JointNumbers:  # fmt: skip
+    scene: Scene, joints: JointNumbers, moved: Array, near: float, slow: float
+) -> JointNumbers:
     """Check that joints hold at the start; return them closed to round-off.
 
     Positions declared with eight digits are open by 1e-8, inconsistently in redundant joints: no
@@ -192,9 +270,7 @@ def closed_joints(
     scene : Scene
         Its bodies one by one.
     moved : (2, b, 3)
-        Poses and rates of the bodies.
-    places, speeds : (j, 2)
-        Positions and velocities of the world anchors of joints.
+        Poses and rates of all bodies.
     near, slow : float
         Tolerances of distances and speeds.
 
@@ -203,137 +279,86 @@ def closed_joints(
     DeclarationProblem
         At the first joint that is open, or whose points move apart.
     """
-    (at, rates), own = moved, joints.points.copy()
-    sizes = joints.sizes.copy()
-    for j in np.flatnonzero(joints.kinds == TURN).tolist():
-        one, other = joints.bodies[j].tolist()
-        sizes[j, 0] = at[one, 2] - (at[other, 2] if other >= 0 else 0.0)
-    for j, name in enumerate(scene.joints):
-        if not joints.on[j]:
+    points, sizes = joints.points.copy(), joints.sizes.copy()
+    _, ends, speeds = joint_ends(joints, moved)
+    way, parting = ends[:, 1] - ends[:, 0], speeds[:, 1] - speeds[:, 0]
+    across, held = way * _HELD[joints.kinds, :2], parting * _HELD[joints.kinds, :2]
+    open_by = openings(joints, ends)
+    one, other = joints.bodies.T
+    angles = moved[0, one, 2] - moved[0, other, 2]
+    beyond = np.where(joints.kinds == LEAST, sizes[:, 0] - angles, angles - sizes[:, 0])
+    beyond[joints.kinds < LEAST] = 0.0
+    sizes[joints.kinds == TURN, 0] = angles[joints.kinds == TURN]
+    for j, owner in enumerate(joints.owners.tolist()):
+        name, kind = [*scene.joints][owner], int(joints.kinds[j])
+        loc = ("joints", name)
+        if not joints.on[owner]:
             continue
-        ends, moving = [places[j]], [speeds[j]]
-        for side in (0, 1):
-            b = int(joints.bodies[j, side])
-            if b >= 0:
-                arm = _arm(at[b, 2], joints.points[j, side])
-                ends.insert(side, at[b, :2] + arm)
-                moving.insert(side, rates[b, :2] + rates[b, 2] * np.array([-arm[1], arm[0]]))
-        _check_angles(joints, j, name, at)
-        if joints.kinds[j] in (ROD, ROPE):
-            _check_distance(joints, j, name, ends, moving, near, slow)
-            continue
-        components = _COMPONENTS[int(joints.kinds[j])]
-        distance = float(np.hypot.reduce((ends[0] - ends[1])[components]))
-        if distance > near:
-            u, v = ends[0].tolist()
-            x, y = ends[1].tolist()
+        if beyond[j] > _ANGLE_NEAR:
             raise DeclarationProblem(
-                f"joint {name!r} is open at the start: its point is at ({u:.6g}, {v:.6g}), what it "
-                f"is held to at ({x:.6g}, {y:.6g})",
-                advice=f"move the body by ({x - u:.6g}, {y - v:.6g})",
-                loc=("joints", name),
-            )
-        parting = float(np.hypot.reduce((moving[0] - moving[1])[components]))
-        if parting > slow:
-            u, v = (moving[1] - moving[0]).tolist()
-            raise DeclarationProblem(
-                f"joint {name!r} does not hold at the start: its ends move apart at {parting:.6g}",
-                advice=f"add ({u:.6g}, {v:.6g}) to the velocity of the body",
-                loc=("joints", name),
-            )
-        missing = np.zeros(2)
-        missing[components] = (ends[1] - ends[0])[components]
-        own[j, 0] += _arm(-at[joints.bodies[j, 0], 2], missing)
-    return joints._replace(points=own, sizes=sizes)
-
-
-def _check_distance(
-    joints: JointNumbers, j: int, name: str, ends: Sequence[Array], moving: Sequence[Array],
-    near: float, slow: float,
-) -> None:  # fmt: skip
-    """Check the initial length of a rod, or that a rope is not longer."""
-    way, length = ends[0] - ends[1], float(joints.sizes[j, 0])
-    far, rod = float(np.hypot(*way)), joints.kinds[j] == ROD
-    if far > length + near or (rod and far < length - near):
-        raise DeclarationProblem(
-            f"joint {name!r} is {length:.7g} long, and its ends are {far:.7g} apart at the start",
-            advice=f"write {'rod' if rod else 'rope'}: {far:.7g}, or start the body elsewhere",
-            loc=("joints", name, "rod" if rod else "rope"),
-        )
-    parting = float(way @ (moving[0] - moving[1])) / far if far > 0.0 else 0.0
-    if rod and abs(parting) > slow:
-        raise DeclarationProblem(
-            f"joint {name!r} does not hold at the start: its ends move apart at {parting:.6g}",
-            advice="let the body start with a velocity across the rod",
-            loc=("joints", name),
-        )
-
-
-def _check_angles(joints: JointNumbers, owner: int, name: str, at: Array) -> None:
-    """Check that a relative angle starts within its limits."""
-    for j in np.flatnonzero(joints.owners == owner).tolist():
-        one, other = joints.bodies[j].tolist()
-        angle = float(at[one, 2] - (at[other, 2] if other >= 0 else 0.0))
-        sign = {LEAST: 1.0, GREATEST: -1.0}.get(int(joints.kinds[j]), 0.0)
-        if sign * (angle - float(joints.sizes[j, 0])) < -_ANGLE_NEAR:
-            raise DeclarationProblem(
-                f"the relative angle of joint {name!r} is {angle:.7g} at the start, beyond its "
-                f"limit {joints.sizes[j, 0]:.7g}",
+                f"the relative angle of joint {name!r} is {angles[j]:.7g} at the start, beyond its "
+                f"limit {sizes[j, 0]:.7g}",
                 advice="start within the limits",
-                loc=("joints", name, "limits"),
+                loc=(*loc, "limits"),
             )
+        far, apart = float(np.hypot(*way[j])), float(np.hypot(*held[j]))
+        change = "add ({:.6g}, {:.6g}) to the velocity of the body".format(*held[j])
+        if kind == ROD:
+            apart = abs(float(way[j] @ parting[j])) / far if far > 0.0 else 0.0
+            change = "let the body start with a velocity across the rod"
+        if open_by[j] > near and kind in (ROD, ROPE):
+            key = "rod" if kind == ROD else "rope"
+            raise DeclarationProblem(
+                f"joint {name!r} is {sizes[j, 0]:.7g} long, and its ends are {far:.7g} apart at "
+                "the start",
+                advice=f"write {key}: {far:.7g}, or start the body elsewhere",
+                loc=(*loc, key),
+            )
+        if open_by[j] > near:
+            raise DeclarationProblem(
+                f"joint {name!r} is open at the start: its ends are {open_by[j]:.7g} apart",
+                advice="move the body by ({:.6g}, {:.6g})".format(*across[j]),
+                loc=loc,
+            )
+        if apart > slow:
+            raise DeclarationProblem(
+                f"joint {name!r} does not hold at the start: its ends move apart at {apart:.6g}",
+                advice=change,
+                loc=loc,
+            )
+        points[j, 0] += rotated(-moved[0, one[j], 2], across[j])
+    return joints._replace(points=points, sizes=sizes)
 
 
 def implied_remarks(scene: Scene, bodies: BodyNumbers, at: Array) -> tuple[str, ...]:
     """Return warnings of redundant joints and couplings for bodies `at` (b, 3)."""
-    joints, couplings = bodies.joints, bodies.couplings
-    rows, names = list[Array](), list[str]()
-    every = [*scene.joints]
-    for j, holds in enumerate(joints.kinds.tolist()):
-        name = every[joints.owners[j]]
-        if not joints.on[joints.owners[j]] or holds not in _COMPONENTS:
-            continue
-        both = np.zeros((2, *at.shape))
-        for side in (0, 1):
-            b = int(joints.bodies[j, side])
-            if b >= 0:
-                x, y = _arm(at[b, 2], joints.points[j, side]).tolist()
-                both[:, b] += (1 - 2 * side) * np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
-        constrained = both[_COMPONENTS[int(joints.kinds[j])]]
-        rows.append(constrained.reshape(len(constrained), -1))
-        names += [name] * len(constrained)
-    for (one, other), holds, name in zip(
-        couplings.bodies.tolist(), couplings.holds.tolist(), scene.couplings, strict=True
-    ):
-        turns = np.zeros((1, *at.shape))
-        for b, sign in ((one, 1.0), (other, -1.0)):
-            if 0 <= b < len(at):
-                turns[0, b, 2] = sign
-        if holds == TURN:
-            rows.append(turns.reshape(1, -1))
-            names.append(name)
-    if not rows:
+    joints, couplings, moving = bodies.joints, bodies.couplings, len(bodies.inverse)
+    arms, _, _ = joint_ends(joints, np.stack([at, at]))
+    held = _HELD[joints.kinds] * joints.on[joints.owners, None]
+    j, d = np.nonzero(held)
+    c = np.flatnonzero(couplings.holds == TURN)
+    pairs = np.concatenate([joints.bodies[j], couplings.bodies[c]])
+    rows, i = np.zeros((len(pairs), len(at) + 1, 3)), np.arange(len(j))
+    for side, sign in enumerate((1.0, -1.0)):
+        rows[i, pairs[i, side], d] += sign
+        across = np.stack([-arms[j, side, 1], arms[j, side, 0], np.zeros(len(j))])
+        rows[i, pairs[i, side], 2] += sign * across[d, i]
+        rows[len(j) :][np.arange(len(c)), pairs[len(j) :, side], 2] += sign
+    if not len(rows):
         return ()
-    matrix = np.concatenate(rows)
+    matrix = rows[:, :moving].reshape(len(rows), -1)
     matrix = matrix[:, matrix.any(axis=0)]
     _, sizes, _ = np.linalg.svd(matrix * column_scales(matrix), full_matrices=False)
     if rank(sizes) == len(matrix):
         return ()
-    dependent = zip(names, dependent_rows(matrix).tolist(), strict=True)
-    implied = [name for name, more in dependent if more]
-    held = [name for name in implied if name in scene.couplings]
-    joined = [name for name in implied if name not in held]
+    dependent = np.flatnonzero(dependent_rows(matrix)).tolist()
+    declared = [*scene.joints]
+    joined = [declared[joints.owners[j[k]]] for k in dependent if k < len(j)]
+    turns = [[*scene.couplings][c[k - len(j)]] for k in dependent if k >= len(j)]
     return (
         *([implied_joints(joined)] if joined else []),
-        *([implied_couplings(held)] if held else []),
+        *([implied_couplings(turns)] if turns else []),
     )
-
-
-def _arm(angle: float, at: Array) -> Array:
-    """Return a vector of a body frame, rotated."""
-    c, s = math.cos(angle), math.sin(angle)
-    turned: Array = np.array([[c, -s], [s, c]]) @ at
-    return turned
 
 
 def body_numbers(
@@ -346,32 +371,34 @@ def body_numbers(
 
     Raises `DeclarationProblem` if a body that collides has no inertia.
     """
-    number = evaluator(known)
-    if owners is None:
-        owners = scene.owners()
-    kinds, laws, materials = _laws(scene, [*owners.values()], number)
+    number, owners = evaluator(known), scene.owners() if owners is None else owners
+    names = body_names(scene, owners)
+    places = {owner: kind for kind, owner in enumerate(scene.bodies)}
+    # The last kind has no shape.
+    kinds = np.array([places.get(owners.get(name, ""), len(places)) for name in names], np.int64)
+    laws, materials = _laws(scene, number)
     # Evaluated once per kind.
-    outlines = [_outline(body, number) for body in scene.bodies.values()]
+    outlines = [*(_outline(body, number) for body in scene.bodies.values()), []]
     pieces = _concatenate_pieces(outlines, kinds)
     sizes = [max((piece.span for piece in outline), default=0.0) for outline in outlines]
     inverse = [
         [0.0] * 3 if body.prescribed else _inverse(owner, body, number)
         for owner, body in scene.bodies.items()
     ]
-    prescribed = np.array([body.prescribed for body in scene.bodies.values()])
+    moving = np.array([*(not body.prescribed for body in scene.bodies.values()), False])
     gravity = scene.gravity if isinstance(scene.gravity, tuple) else (0, f"-({scene.gravity})")
     return BodyNumbers(
         pieces,
         np.array(sizes)[kinds],
-        np.array(inverse)[kinds[~prescribed[kinds]]],
+        np.array(inverse)[kinds[moving[kinds]]],
         _fixed(scene, owners, known),
         np.array([number(part) for part in gravity]),
-        surface_numbers(scene, [*owners], known),
+        surface_numbers(scene, names, known),
         kinds,
         laws,
         materials,
-        joint_numbers(scene, [*owners], known),
-        coupling_numbers(scene, [*owners], known),
+        joint_numbers(scene, names, known),
+        coupling_numbers(scene, names, known),
         link_numbers(linked_mechanics(scene), known) if links is None else links,
     )
 
@@ -513,12 +540,11 @@ def _core(corners: Sequence[Sequence[float]]) -> float:
     return max(0.0, min(cross), min(-turn for turn in cross))
 
 
-def _laws(scene: Scene, owners: Sequence[str], number: Number) -> tuple[Ints, Ints, Array]:
-    """Return kinds of bodies (b,), contact law of each pair (k, k + s), and the laws (m, 8)."""
+def _laws(scene: Scene, number: Number) -> tuple[Ints, Array]:
+    """Return the contact law of each pair of kinds (k, k + s), and the laws (m, 8)."""
     kinds = {name: kind for kind, name in enumerate(scene.bodies)}
-    surfaces = touchable_surfaces(scene)
-    laws = np.full((len(kinds), len(kinds) + len(surfaces)), -1, dtype=np.int64)
-    materials = []
+    surfaces, count = touchable_surfaces(scene), len(kinds) + 1
+    laws, materials = np.full((count, count + len(surfaces)), -1, dtype=np.int64), []
     for law, collision in enumerate(scene.collisions.values()):
         static, kinetic = (edge(number(text)) for text in coefficients(collision.friction))
         compliance = (
@@ -527,14 +553,13 @@ def _laws(scene: Scene, owners: Sequence[str], number: Number) -> tuple[Ints, In
         )
         materials.append((*static, number(collision.restitution or 0), *kinetic, *compliance))
         members = [kinds[owner] for owner in collision.bodies]
-        others = [len(kinds) + surfaces.index(name) for name in collision.surfaces]
+        others = [count + surfaces.index(name) for name in collision.surfaces]
         for one in members:
             for other in members + others:
                 if laws[one, other] < 0:
                     laws[one, other] = law
     edges = np.array(materials)
     return (
-        np.array([kinds[owner] for owner in owners], dtype=np.int64),
         laws,
         np.column_stack(
             [

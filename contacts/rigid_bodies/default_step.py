@@ -101,13 +101,15 @@ def led_speed(
 ) -> float:
     """Return the largest speed of a point of a led body at sampled instants of a run."""
     first = len(numbers.inverse)
-    sizes = numbers.sizes[first : first + len(paths.led)]
+    sizes = numbers.sizes[first : first + paths.bodies]
     if not len(sizes):
         return 0.0
     whole = end if math.isfinite(end) and end > 0.0 else 1.0
     times, later = np.linspace(0.0, whole, _INSTANTS), _SOON * whole
     memories = np.tile(remembered, (_INSTANTS, 1))
-    here, there = (paths.at(values, at, memories).poses for at in (times, times + later))
+    here, there = (
+        paths.at(values, at, memories)[:, : paths.bodies] for at in (times, times + later)
+    )
     rates = np.abs(there - here) / later
     speeds = np.hypot(rates[..., 0], rates[..., 1]) + sizes * rates[..., 2]
     return float(speeds.max(where=np.isfinite(speeds), initial=0.0))

@@ -1,4 +1,4 @@
-"""Initial penetration of bodies in each other and in surfaces; starts outside hollow circles."""
+"""Initial penetration of bodies in each other and in surfaces."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
-from contacts.rigid_bodies.declared_numbers import touchable_surfaces
-from contacts.rigid_bodies.prescribed_motion import Positions
+from contacts.rigid_bodies.declared_numbers import rotated, surface_title
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
-from contacts.scene.scene import Scene
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 
 # Allowed penetration, relative to the inscribed circle: a fast body moves about so far in a step of
@@ -50,8 +48,7 @@ def check_penetration(
 
     Raises `DeclarationProblem` if one is deeper.
     """
-    _check_places(numbers, names, owners, initial)
-    _check_crowd(numbers, names, owners, initial)
+    _check_copies(numbers, names, owners, initial)
     contacts = detect(numbers, initial)
 
     def deepest_of(b: int) -> str:
@@ -81,7 +78,10 @@ def check_penetration(
         b, out = next(iter(deep)), _STUCK
     where = deepest_of(b)
     if contacts.is_covered(b):
-        b, where, out = _covering_pieces(detect, numbers, names, surfaces, initial, b, deep[b])
+        b, where, out = _covered(numbers, contacts, names, b, where)
+    kinds = zip(surfaces, numbers.surfaces.kinds.tolist(), strict=True)
+    if where in [surface_title(name) for name, kind in kinds if kind == HOLLOW]:
+        out += "; to touch a circle from outside, remove hollow"
     if len(deep) > _PAIR:
         out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     key = "start"
@@ -94,58 +94,45 @@ def check_penetration(
     )
 
 
-def _check_places(
+def _check_copies(
     numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
 ) -> None:
-    """Check that no two colliding copies start at the same place."""
-    moving = len(numbers.inverse)
-    poses = np.column_stack([numbers.kinds[:moving], numbers.motion(initial[None])[0][0]])
-    _, places, which = np.unique(poses, axis=0, return_index=True, return_inverse=True)
-    firsts = places[which.reshape(-1)]
-    for b in np.flatnonzero(firsts != np.arange(moving)).tolist():
-        kind = numbers.kinds[b]
-        if numbers.laws[kind, kind] >= 0:
-            raise DeclarationProblem(
-                f"bodies {names[firsts[b]]!r} and {names[b]!r} start at the same place",
-                advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
-                loc=("bodies", owners[b], "start"),
-            )
+    """Check that no colliding copies start at one place, and that most of many do not overlap.
 
-
-def _check_crowd(
-    numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
-) -> None:
-    """Check that most copies of a kind do not overlap, where moving a single one would not help.
-
-    Full detection would take many times as long. Two bodies whose inscribed circles have their
-    centres in one cell of this size overlap too deeply.
+    Then moving a single one would not help, and full detection would take many times as long. Two
+    bodies whose inscribed circles have their centres in one cell of this size overlap too deeply.
     """
     pieces = numbers.pieces
     members = np.flatnonzero(np.diff(pieces.begins[: len(numbers.inverse) + 1]))
-    if len(members) < _CROWD or len(numbers.joints.bodies):
-        return
-    one = pieces.begins[:-1][members]
-    x, y, angle = numbers.motion(initial[None])[0][0, members].T
-    (u, v), cos, sin = pieces.middles[one].T, np.cos(angle), np.sin(angle)
-    centres = np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])
-    cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
-    kinds = numbers.kinds[members]
-    _, which, many = np.unique(
-        np.column_stack([kinds, cells]), axis=0, return_inverse=True, return_counts=True
-    )
-    which = which.reshape(-1)
-    deep = (many[which] > 1) & (numbers.laws[kinds, kinds] >= 0)
-    if 2 * np.count_nonzero(deep) <= len(members):
-        return
-    first, other = np.flatnonzero(deep & (which == which[int(np.argmax(deep))]))[:2].tolist()
-    depth = 2.0 * pieces.cores[one[first]] - math.dist(centres[first], centres[other])
-    b = int(members[first])
-    raise DeclarationProblem(
-        f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[members[other]]!r}, "
-        f"and at least {np.count_nonzero(deep)} of {len(members)} copies overlap",
-        advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
-        loc=("bodies", owners[b], "start"),
-    )
+    one, kinds = pieces.begins[:-1][members], numbers.kinds[members]
+    poses = numbers.motion(initial[None])[0][0, members]
+    centres = poses[:, :2] + rotated(poses[:, 2], pieces.middles[one])
+    checks = [(poses, 0)]
+    if len(members) >= _CROWD and not len(numbers.joints.bodies):
+        cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
+        checks.append((cells, len(members) // 2))
+    for places, allowed in checks:
+        _, which, many = np.unique(
+            np.column_stack([kinds, places]), axis=0, return_inverse=True, return_counts=True
+        )
+        which = which.reshape(-1)
+        deep = (many[which] > 1) & (numbers.laws[kinds, kinds] >= 0)
+        if np.count_nonzero(deep) <= allowed:
+            continue
+        first, other = np.flatnonzero(deep & (which == which[int(np.argmax(deep))]))[:2].tolist()
+        b, c = int(members[first]), int(members[other])
+        problem = f"bodies {names[b]!r} and {names[c]!r} start at the same place"
+        if places is not poses:
+            depth = 2.0 * pieces.cores[one[first]] - math.dist(centres[first], centres[other])
+            problem = (
+                f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[c]!r}, and at "
+                f"least {np.count_nonzero(deep)} of {len(members)} copies overlap"
+            )
+        raise DeclarationProblem(
+            problem,
+            advice=f"write a start that depends on index, {_row_formulas(numbers, b)}",
+            loc=("bodies", owners[b], "start"),
+        )
 
 
 def _row_formulas(numbers: BodyNumbers, b: int) -> str:
@@ -191,96 +178,20 @@ def _way_out(
     return ""
 
 
-def _covering_pieces(
-    detect: Detect,
-    numbers: BodyNumbers,
-    names: Sequence[str],
-    surfaces: Sequence[str],
-    initial: Array,
-    b: int,
-    margin: float,
+def _covered(
+    numbers: BodyNumbers, contacts: DetectedContacts, names: Sequence[str], b: int, where: str
 ) -> tuple[int, str, str]:
     """Return the inner body, the outer one, and advice, if pieces of the outer cover each other.
 
-    No face is left to touch: the outer one is that with which alone the body is as deep.
+    No face is left to touch, and so no contact shows a way out.
     """
-    moving, kinds = len(numbers.inverse), len(numbers.laws)
-    places = numbers.motion(initial[None])[0][0, :, :2]
-    spacing = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
-    reach = numbers.sizes[b] + numbers.sizes
-
-    def as_deep(obstacles: Sequence[int] | Ints, other: int = b) -> bool:
-        """Return whether it is as deep in these kinds and surfaces, without most free bodies."""
-        laws, state = np.full_like(numbers.laws, -1), initial.copy()
-        laws[:, obstacles] = numbers.laws[:, obstacles]
-        for i in range(numbers.free):
-            if i not in (b, other):
-                state[3 * i] += (i + 2.0) * spacing
-        gap = detect(numbers._replace(laws=laws), state).gaps[b]
-        return bool(gap <= (1.0 - _SAME_GAP) * margin)
-
-    prescribed = np.unique(numbers.kinds[moving:])
-    for kind in prescribed.tolist():
-        if as_deep([kind]):
-            owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
-            return b, f"body {owner!r} or a copy of it", _STUCK
-    others = np.setdiff1d(np.arange(kinds), prescribed)
-    for other in np.flatnonzero(np.hypot(*(places - places[b]).T) < reach[:moving]).tolist():
-        if other != b and as_deep(others, other):
-            one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
-            far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
-            return one, f"body {names[whole]!r}", far
-    far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
-    for s, surface in enumerate(surfaces):
-        if as_deep([kinds + s]):
-            return b, f"surface {surface!r}", far
-    every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
-    listed = ", ".join(repr(surfaces[s]) for s in every.tolist())
-    return b, f"surfaces {listed}", far.replace("from it", "from them")
-
-
-def check_containers(
-    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, paths: Positions
-) -> None:
-    """Check that bodies that collide with a hollow circle start in it, at `initial` (2 n,).
-
-    The scene has its bodies one by one, declared by `owners`; `paths` are the positions at the
-    start.
-
-    Raises `DeclarationProblem` if a body is too large, or starts outside.
-    """
-    names, surfaces = list(scene.bodies), numbers.surfaces
-    moving, frames = len(numbers.inverse), paths.frames[0]
-    poses = numbers.motion(initial[None])[0][0]
-    places = np.concatenate([poses, paths.poses[0], numbers.fixed])
-    for s, name in enumerate(touchable_surfaces(scene)):
-        if surfaces.kinds[s] != HOLLOW:
-            continue
-        x, y, radius, _ = surfaces.numbers[s].tolist()
-        carrier = int(surfaces.carriers[s])
-        u, v, angle = (frames[s] if carrier < 0 else places[carrier]).tolist()
-        cos, sin = math.cos(angle), math.sin(angle)
-        centre = np.array([u + cos * x - sin * y, v + sin * x + cos * y])
-        meets = numbers.laws[numbers.kinds[:moving], len(numbers.laws) + s] >= 0
-        members = [b for b in np.flatnonzero(meets).tolist() if b != carrier]
-        outside = []
-        for b in members:
-            own = slice(*numbers.pieces.begins[b : b + 2].tolist())
-            core = float(numbers.pieces.cores[own].max(initial=0.0))
-            if core > radius:
-                raise DeclarationProblem(
-                    f"body {names[b]!r} does not fit into {name!r}: it reaches {core:.6g} around "
-                    f"its centre, and the circle has a radius of {radius:.6g}",
-                    advice="make the circle larger, or the body smaller",
-                    loc=("bodies", owners[b], "shape"),
-                )
-            if math.hypot(*(places[b, :2] - centre)) >= radius:
-                outside.append(b)
-        if outside:
-            who = "every body" if len(outside) == len(members) else f"body {names[outside[0]]!r}"
-            raise DeclarationProblem(
-                f"{who} starts outside the hollow circle {name!r}",
-                advice=f"start bodies within {radius:.6g} of its centre; to touch a circle "
-                "from outside, remove hollow",
-                loc=("bodies", owners[outside[0]], "start"),
-            )
+    bodies, q = numbers.pieces.bodies, int(contacts.deepest[b])
+    if q >= len(bodies):
+        return b, where, f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
+    if bodies[q] >= len(numbers.inverse):
+        return b, where, _STUCK
+    pair = b, int(bodies[q])
+    one, whole = sorted(pair, key=lambda i: float(numbers.sizes[i]))
+    reach = float(numbers.sizes[[*pair]].sum())
+    far = f"start it {reach:.6g} from the centre of {names[whole]!r}, or move it out"
+    return one, f"body {names[whole]!r}", far

@@ -19,8 +19,9 @@ from contacts.dynamics.parameters import body_parameters
 from contacts.dynamics.scales import check_range
 from contacts.rigid_bodies.declared_numbers import (
     LinkedMechanics,
+    led_parts,
     linked_mechanics,
-    touchable_surfaces,
+    turns_about_pivot,
 )
 from contacts.scene.joints import Path
 from contacts.scene.parts import Body
@@ -242,12 +243,6 @@ class BodyMechanics(Mechanics):
         return self._in_states(tuple(states.items()))
 
 
-def led_bodies(scene: Scene) -> list[str]:
-    """Return the names of the bodies that are led along paths."""
-    single = scene.single_bodies().items()
-    return [name for name, body in single if body.prescribed and not body.fixed]
-
-
 class BodyTapes:
     """Formulas in given controller states, compiled on first use."""
 
@@ -268,15 +263,23 @@ class BodyTapes:
 
     @cached_property
     def paths(self) -> Tape:
-        """Moved surfaces, world anchors of joints, and led bodies, as `flows`."""
-        scene, known = self._mechanics.scene, self._mechanics.known
-        surfaces = (scene.surfaces[name] for name in touchable_surfaces(scene))
-        found = [e for s in surfaces if s.moves for e in surface_frame(s, known)]
-        for joint in scene.joints.values():
-            path = joint.to if isinstance(joint.to, Path) else Path(x=0, y=0)
-            found += [parse(text or 0).to_sympy(known) for text in (path.x, path.y)]
-        for name in led_bodies(scene):
+        """Poses of the led bodies; see `led_parts`."""
+        scene, known, found = self._mechanics.scene, self._mechanics.known, list[sp.Expr]()
+        bodies, surfaces, joints = led_parts(scene)
+        for name in bodies:
             found += [parse(text).to_sympy(known) for text in scene.single_bodies()[name].path]
+        for name in surfaces:
+            surface = scene.surfaces[name]
+            if turns_about_pivot(surface):
+                parts = zip(surface.displacement, surface.pivot, strict=True)
+                found += [sum(parse(text).to_sympy(known) for text in pair) for pair in parts]
+                found.append(parse(surface.turn).to_sympy(known))
+            else:
+                found += surface_frame(surface, known)
+        for name in joints:
+            path = scene.joints[name].to
+            assert isinstance(path, Path)
+            found += [parse(text or 0).to_sympy(known) for text in (path.x, path.y, 0)]
         return self._without_bodies(found)
 
     def _without_bodies(self, expressions: Sequence[sp.Expr]) -> Tape:

@@ -1,50 +1,34 @@
-"""Prescribed motion of surfaces and led bodies, controllers and forces in the next steps."""
+"""Prescribed motion of led bodies, controllers and forces in the next steps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from contacts.collision_detection.midpoint import LimitProgram, Prescribed
-from contacts.rigid_bodies.declared_numbers import touchable_surfaces
-from contacts.rigid_bodies.mechanics import BodyMechanics, led_bodies
+from contacts.rigid_bodies.declared_numbers import joint_title, led_parts, rotated, surface_title
+from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.scene.expansion import captured_variables
 from statechart.arrays import Array
 from statechart.errors import NonFinite
 from statechart.formulas.tape import Tape
 
 
-class Positions(NamedTuple):
-    """Positions of surfaces, world anchors of joints and led bodies at m instants."""
-
-    frames: Array  # (m, s, 3): all surfaces that bodies touch.
-    places: Array  # (m, j, 2): all joints; zero between two bodies.
-    poses: Array  # (m, l, 3)
-
-
 class Paths:
     """The paths of a scene.
 
-    `led` are the names of led bodies; `any` is true if there are paths, `leads` if surfaces or
-    bodies have some.
+    `names` are those of the led bodies in messages: first so many `bodies` with a shape, then so
+    many `surfaces`. `any` is true if there are paths, `leads` if surfaces or bodies have some.
     """
 
     def __init__(self, mechanics: BodyMechanics) -> None:
-        self._mechanics, scene = mechanics, mechanics.scene
-        surfaces = touchable_surfaces(scene)
-        self._surfaces, self._joints = len(surfaces), len(scene.joints)
-        self._moved = [s for s, name in enumerate(surfaces) if scene.surfaces[name].moves]
-        self.led = led_bodies(scene)
-        self.leads = bool(self._moved or self.led)
-        self.any = bool(self.leads or self._joints)
-
-    def none(self, count: int) -> Positions:
-        """Return the positions of a scene without paths."""
-        frames, nowhere = np.zeros((count, self._surfaces, 3)), np.zeros((count, 0, 3))
-        return Positions(frames, nowhere[:, :, :2], nowhere)
+        self._mechanics = mechanics
+        bodies, surfaces, joints = led_parts(mechanics.scene)
+        declared = [f"body {name!r}" for name in bodies]
+        self.names = [*declared, *map(surface_title, surfaces), *map(joint_title, joints)]
+        self.bodies, self.surfaces = len(bodies), len(surfaces)
+        self.any, self.leads = bool(self.names), bool(bodies or surfaces)
 
     def at(
         self,
@@ -52,31 +36,25 @@ class Paths:
         times: Array,
         memories: Array,
         states: Mapping[str, str] | None = None,
-    ) -> Positions:
-        """Return the positions at instants, in these controller states or the initial ones."""
-        count, moved, joints = len(times), len(self._moved), self._joints
+    ) -> Array:
+        """Return the poses (m, l, 3) of led bodies, in these controller states or the initial ones.
+
+        `times` (m,); `memories` (m, w): controller variables.
+        """
         if not self.any:
-            return self.none(count)
-        frames = np.zeros((count, self._surfaces, 3))
+            return np.zeros((len(times), 0, 3))
         tapes = self._mechanics.at(states or self._mechanics.scene.controlled.initial)
-        found = tapes.paths.table(memories, values, times)
-        of_joints, of_bodies = 3 * moved, 3 * moved + 2 * joints
-        frames[:, self._moved] = found[:, :of_joints].reshape(count, moved, 3)
-        places = np.array(found[:, of_joints:of_bodies]).reshape(count, joints, 2)
-        poses = np.array(found[:, of_bodies:]).reshape(count, len(self.led), 3)
-        return Positions(frames, places, poses)
+        found = np.array(tapes.paths.table(memories, values, times))
+        return found.reshape(len(times), len(self.names), 3)
 
 
-def _previous_frames(now: Array, later: Array) -> Array:
-    """Return frames (m, 3) half a step before `now` by mirroring `later`, half a step after it.
+def _previous_poses(now: Array, later: Array) -> Array:
+    """Return poses (l, 3) half a step before `now` by mirroring `later`, half a step after it.
 
     Rotation about a point continues uniformly.
     """
     before = 2.0 * now - later
-    turned = before[:, 2] - now[:, 2]
-    cos, sin = np.cos(turned), np.sin(turned)
-    dx, dy = (now - later)[:, :2].T
-    before[:, :2] = now[:, :2] + np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
+    before[:, :2] = now[:, :2] + rotated(before[:, 2] - now[:, 2], (now - later)[:, :2])
     return before
 
 
@@ -121,14 +99,13 @@ class PrescribedMotion:
         self._mechanics, self._paths, self._values = mechanics, paths, values
         self.controlled = bool(mechanics.scene.regions)
         self.joints, self.leads = tuple(mechanics.scene.joints), paths.leads
-        # Positions at the last detection, and its step size.
-        self._last: tuple[Positions, float] | None = None
-        self._saved: tuple[Positions, float] | None = None
-        # Times and controller variables at the ends of the prescribed steps; positions at the last
-        # end.
+        # Poses at the last detection, and its step size.
+        self._last: tuple[Array, float] | None = None
+        self._saved: tuple[Array, float] | None = None
+        # Times and controller variables at the ends of the prescribed steps; poses at the last end.
         self._ends: tuple[Array, Array] | None = None
-        self._end: tuple[float, Positions] | None = None
-        self._saved_end: tuple[float, Positions] | None = None
+        self._end: tuple[float, Array] | None = None
+        self._saved_end: tuple[float, Array] | None = None
         self.switch(mechanics.scene.controlled.initial)
 
     def switch(self, states: Mapping[str, str]) -> None:
@@ -144,17 +121,17 @@ class PrescribedMotion:
         names = captured_variables(joint, self._mechanics.scene.joints[joint])
         return {name.rpartition(".")[2]: known[name] for name in names}
 
-    def place_of(self, joint: int, time: float, remembered: Array) -> Array:
-        """Return the world anchor of a joint at an instant."""
-        place: Array = self._now(time, remembered).places[0, joint]
-        return place
+    def poses(self, time: float, remembered: Array) -> Array:
+        """Return the poses (l, 3) of led bodies at an instant."""
+        found = self._paths.at(self._values, np.array([time]), remembered[None], self._states)
+        return found.reshape(-1, 3)
 
     def forget(self) -> None:
         """Revert the last steps."""
         self._last, self._end = self._saved, self._saved_end
 
     def restart(self) -> None:
-        """Let surfaces and led bodies move from here on as if they had always moved so."""
+        """Let led bodies move from here on as if they had always moved so."""
         self._last = None
 
     def prescribe(
@@ -167,76 +144,39 @@ class PrescribedMotion:
 
         Raises `NonFinite` if no step can be taken.
         """
-        forces = self.forces.program
         # Counted from the start of the run, so that instants do not depend on chunks.
         number = round(start / h)
         first = number if abs(start - number * h) <= _SAME_MOTION * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
         memories = integrate(self._tapes.flows, self._values, remembered, times)
-        variables = np.concatenate([memories[:1], memories[1::2]])
-        if not self._paths.any:
-            return (
-                Prescribed(*self._paths.none(count + 2), variables, forces, self._limits),
-                memories[2::2],
-                count + 1,
-            )
-        now = self._paths.at(self._values, times[:1], memories[:1], self._states)
         midpoints = self._paths.at(self._values, times[1::2], memories[1::2], self._states)
-        before = Positions(
-            _previous_frames(now.frames[0], midpoints.frames[0])[None],
-            2.0 * now.places - midpoints.places[:1],
-            _previous_frames(now.poses[0], midpoints.poses[0])[None],
-        )
+        before = _previous_poses(self.poses(times[0], memories[0]), midpoints[0])
         if self._last is not None and self._last[1] == h and not self.jumped(start, remembered):
             before = self._last[0]
         self._saved, self._saved_end = self._last, self._end
         self._looks, self._h, self._ends = midpoints, h, (times[2::2], memories[2::2])
-        rows = Positions(*(np.concatenate(pair) for pair in zip(before, midpoints, strict=True)))
-        known = len(midpoints.frames)
-        for paths in rows:
-            ends = np.flatnonzero(~np.isfinite(paths[1:]).all(axis=(1, 2)))
-            known = min([known, *ends[:1].tolist()])
+        rows, known = np.concatenate([before[None], midpoints]), len(midpoints)
+        lost = ~np.isfinite(rows).all(axis=2)
+        if lost[1:].any():
+            known = int(np.argmax(lost[1:].any(axis=1)))
         if known == 0:
             raise NonFinite(
-                f"{self._without(midpoints)} has no value, or an infinite one, "
-                f"at t = {times[1]:.6g}"
+                f"the path of {self._paths.names[int(np.argmax(lost[1]))]} has no value, or an "
+                f"infinite one, at t = {times[1]:.6g}"
             )
-        for paths in rows if known < len(midpoints.frames) else ():
-            paths[known + 1 :] = 2.0 * paths[known] - paths[known - 1]
-        return Prescribed(*rows, variables, forces, self._limits), memories[2::2], known
+        if known < len(midpoints):
+            rows[known + 1 :] = 2.0 * rows[known] - rows[known - 1]
+        variables = np.concatenate([memories[:1], memories[1::2]])
+        forces = self.forces.program
+        return Prescribed(rows, variables, forces, self._limits), memories[2::2], known
 
     def jumped(self, start: float, remembered: Array) -> list[str]:
         """Return the names whose path at an instant differs from the end of the last step."""
         if self._end is None or abs(self._end[0] - start) > _SAME_MOTION * self._h:
             return []
-        before, now = self._end[1], self._now(start, remembered)
-        found = []
-        for names, one, other in zip(self._named, before, now, strict=True):
-            far = np.abs(other - one)[0] > _JUMPED * np.abs(other).max(initial=0.0)
-            found += [name for name, away in zip(names, far, strict=True) if away.any()]
-        return found
-
-    def _now(self, time: float, remembered: Array) -> Positions:
-        return self._paths.at(self._values, np.array([time]), remembered[None], self._states)
-
-    @cached_property
-    def _named(self) -> tuple[list[str], list[str], list[str]]:
-        scene = self._mechanics.scene
-        return (
-            [f"surface {name!r}" for name in touchable_surfaces(scene)],
-            [f"joint {name!r}" for name in scene.joints],
-            [f"body {name!r}" for name in self._paths.led],
-        )
-
-    def _without(self, midpoints: Positions) -> str:
-        """Describe the first path without a value."""
-        lost = [
-            name
-            for names, paths in zip(self._named, midpoints, strict=True)
-            for name, pose in zip(names, paths[0], strict=True)
-            if not np.isfinite(pose).all()
-        ]
-        return f"the path of {lost[0]}"
+        before, now = self._end[1], self.poses(start, remembered)
+        far = np.abs(now - before).max(axis=1) > _JUMPED * np.abs(now).max(initial=0.0)
+        return [name for name, away in zip(self._paths.names, far.tolist(), strict=True) if away]
 
     @property
     def count(self) -> int:
@@ -251,8 +191,8 @@ class PrescribedMotion:
     def advance(self, count: int) -> None:
         """Note how many of the prescribed steps were taken."""
         if count and self._paths.any:
-            self._last = Positions(*(rows[count - 1 : count] for rows in self._looks)), self._h
+            self._last = self._looks[count - 1], self._h
             assert self._ends is not None
             time, remembered = float(self._ends[0][count - 1]), self._ends[1][count - 1]
             if self.controlled:
-                self._end = time, self._now(time, remembered)
+                self._end = time, self.poses(time, remembered)

@@ -9,12 +9,8 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import (
-    ALONG_X,
-    ALONG_Y,
     BOTH,
-    ROD,
     TURN,
     BodyNumbers,
     WarmStart,
@@ -23,6 +19,7 @@ from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
+from contacts.rigid_bodies.declared_numbers import joint_ends, openings, rotated, surface_title
 from contacts.rigid_bodies.default_step import inner_radii
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
@@ -114,10 +111,13 @@ class MissingGround:
         self._unseen = np.flatnonzero(ground.kinds == GRAPH).tolist() if partial else []
         self.remarks: tuple[str, ...] = ()
 
-    def add(self, start: float, h: float, states: Array, frames: Array, poses: Array) -> None:
-        """Check below both ends and the centre of bodies, at ends of steps."""
+    def add(self, start: float, h: float, states: Array, poses: Array) -> None:
+        """Check below both ends and the centre of bodies, at ends of steps.
+
+        `poses` (m, l, 3): led bodies at their midpoints.
+        """
         for s in self._unseen.copy():
-            if found := self._first(s, states, frames, poses):
+            if found := self._first(s, states, poses):
                 step, body, x = found
                 self._unseen.remove(s)
                 self.remarks += (
@@ -126,9 +126,7 @@ class MissingGround:
                     "no ground",
                 )
 
-    def _first(
-        self, s: int, states: Array, frames: Array, poses: Array
-    ) -> tuple[int, int, float] | None:
+    def _first(self, s: int, states: Array, poses: Array) -> tuple[int, int, float] | None:
         """Return the first step and body above a place without height, and the place."""
         numbers, ground = self._numbers, self._numbers.surfaces
         count, carrier = len(numbers.inverse), int(ground.carriers[s])
@@ -137,13 +135,11 @@ class MissingGround:
         if 0 <= carrier < count:
             below[carrier] = False
         bodies = np.flatnonzero(below)
-        looks = np.minimum(np.arange(len(states)), len(frames) - 1)
-        frame = frames[looks, s]
+        frame = np.zeros((len(states), 3))
         if carrier >= 0:
-            fixed = np.broadcast_to(numbers.fixed, (len(states), *numbers.fixed.shape))
-            frame = np.concatenate([places, poses[looks], fixed], axis=1)[:, carrier]
-        u, v, angle = (frame[:, d, None] for d in range(3))
-        x = np.cos(angle) * (places[:, bodies, 0] - u) + np.sin(angle) * (places[:, bodies, 1] - v)
+            looks = np.minimum(np.arange(len(states)), len(poses) - 1)
+            frame = numbers.poses(states, poses[looks])[:, carrier]
+        x = rotated(-frame[:, None, 2], places[:, bodies, :2] - frame[:, None, :2])[..., 0]
         points = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
         at = int(ground.graphs[s])
         heights = tape_table(
@@ -175,7 +171,9 @@ _NO_FEATURE = np.iinfo(np.int64).min
 class DetectedContacts(NamedTuple):
     """Contacts and joints of bodies in one state."""
 
-    gaps: Array  # (b,): smallest gap of each body.
+    # (b,): smallest gap of each body, and the piece or surface there.
+    gaps: Array
+    deepest: Ints
     keys: Ints  # (m,): pairs; see `WarmStart`.
     levels: Array  # (m,): target gaps.
     lasts: Bools  # (m,): lasting contacts.
@@ -187,17 +185,17 @@ class DetectedContacts(NamedTuple):
     slips: Array  # (c,): those of couplings before the step.
 
     @classmethod
-    def of(
-        cls, active: ActiveContacts, gaps: Array, warm: WarmStart, numbers: BodyNumbers, modes: Ints
-    ) -> Self:
+    def of(cls, space: Workspace, warm: WarmStart, numbers: BodyNumbers, modes: Ints) -> Self:
         """Return the contacts of a step, which joints and couplings in `modes` follow."""
         holds, couplings, count = numbers.joints.kinds, numbers.couplings, int(warm.n_contacts[0])
+        active = space.active
         many = count - len(modes)
         bodies, rows, contacts_end = active.bodies[:many].copy(), active.rows, many - len(holds)
         both, firm = holds == BOTH, active.materials[contacts_end:many, 0] < 0.0
         joints = [rows[contacts_end:many][firm, 0], rows[contacts_end:many][both & firm, 1]]
         return cls(
-            gaps,
+            space.mid.gaps.copy(),
+            space.mid.deepest.copy(),
             active.keys[:contacts_end, 0].copy(),
             active.levels[:contacts_end, 0].copy(),
             warm.contacts[:contacts_end, 1] == 1.0,
@@ -219,15 +217,12 @@ class DetectedContacts(NamedTuple):
 
         `bodies` are those of the pieces, `known` the names of surfaces (indices behind the pieces).
         """
-        mine = np.flatnonzero((self.normal.bodies == body).any(axis=1))
-        if not len(mine):
+        if not self.gaps[body] < math.inf:
             return ""
-        i = int(mine[np.argmin(self.levels[mine])])
-        p, q = divmod(int(self.keys[i]), len(bodies) + len(known))
+        q = int(self.deepest[body])
         if q >= len(bodies):
-            return f"surface {known[q - len(bodies)]!r}"
-        one, other = int(bodies[p]), int(bodies[q])
-        return f"body {names[other if one == body else one]!r}"
+            return surface_title(known[q - len(bodies)])
+        return f"body {names[int(bodies[q])]!r}"
 
     def is_covered(self, body: int) -> bool:
         """Return whether a body is deeper than its contacts show, inside overlapping pieces."""
@@ -317,7 +312,7 @@ class RigidBodyRun(SteppedSystem):
         joints, pose = self.numbers.joints, self._prescribed.captured(joint, remembered)
         if "turn" in pose:
             joints.sizes[(joints.owners == j) & (joints.kinds == TURN), 0] = pose["turn"]
-        if "x" in pose and joints.bodies[j, 1] >= 0:
+        if "x" in pose and joints.bodies[j, 1] < self._moving:
             joints.points[j, 1] = pose["x"], pose["y"]
         return "x" in pose or "y" in pose
 
@@ -330,21 +325,10 @@ class RigidBodyRun(SteppedSystem):
         joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
         if self._capture(j, joint, remembered):
             return
-        poses, rates = (part[0] for part in self.numbers.motion(state[None]))
-        ends = [self._prescribed.place_of(j, time, remembered)] * 2
-        speed = 0.0
-        for side, b in enumerate(joints.bodies[j].tolist()):
-            if b >= 0:
-                (x, y, turn), (u, v) = poses[b], joints.points[j, side]
-                c, s = math.cos(turn), math.sin(turn)
-                ends[side] = np.array([x + c * u - s * v, y + s * u + c * v])
-                speed += math.hypot(*rates[b, :2]) + abs(rates[b, 2]) * math.hypot(u, v)
-        way = np.abs(ends[0] - ends[1])
-        holds = int(joints.kinds[j])
-        if holds == ROD:
-            distance = abs(math.hypot(*way) - float(joints.sizes[j, 0]))
-        else:
-            distance = float({ALONG_X: way[0], ALONG_Y: way[1]}.get(holds, math.hypot(*way)))
+        led = self._prescribed.poses(time, remembered)
+        moved = self.numbers.moved(state, np.stack([led, np.zeros_like(led)]))
+        _, ends, speeds = joint_ends(joints, moved)
+        distance, speed = openings(joints, ends)[j], np.hypot(*speeds[j].T).sum()
         size = float(self.numbers.sizes[: self._moving].max())
         if distance > 2.0 * self._length * speed + _JUMPED_INTO * size:
             raise NoConsistentMode(
@@ -398,10 +382,8 @@ class RigidBodyRun(SteppedSystem):
         self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
         chunk, status = self._accepted_steps(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
-        gaps, modes = self._workspace.mid.gaps.copy(), chunk.codes[0, self._moving :]
-        detected = DetectedContacts.of(
-            self._workspace.active, gaps, self._warm, self.numbers, modes
-        )
+        modes = chunk.codes[0, self._moving :]
+        detected = DetectedContacts.of(self._workspace, self._warm, self.numbers, modes)
         self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
         return detected
 
@@ -583,7 +565,7 @@ class RigidBodyRun(SteppedSystem):
         chunk = chunk.first(done)
         if done:
             at = slice(1, done + 1)
-            self._no_ground.add(start, h, chunk.states, motion.frames[at], motion.poses[at])
+            self._no_ground.add(start, h, chunk.states, motion.poses[at])
         if self._prescribed.count:
             chunk.solved[:, n + joints + couplings :] = self._prescribed.control_values(
                 start, h, chunk.states

@@ -13,9 +13,9 @@ import numpy as np
 from contacts.collision_detection.body_numbers import ROPE, STIFFNESS, BodyNumbers, PieceNumbers
 from contacts.collision_detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.rigid_bodies.body_step import LEAST
-from contacts.rigid_bodies.declared_numbers import body_numbers
-from contacts.rigid_bodies.mechanics import BodyMechanics, led_bodies
-from contacts.rigid_bodies.prescribed_motion import Paths, Positions
+from contacts.rigid_bodies.declared_numbers import body_numbers, led_parts
+from contacts.rigid_bodies.mechanics import BodyMechanics
+from contacts.rigid_bodies.prescribed_motion import Paths
 from contacts.scene.scene import Scene
 from contacts.testing.assertions import (
     assert_couples,
@@ -37,11 +37,11 @@ GRAPH_SAMPLES = 65
 def assert_depths(
     numbers: BodyNumbers,
     trace: Trace,
-    paths: Callable[[Array, Array, Mapping[str, str]], Positions] | None = None,
+    paths: Callable[[Array, Array, Mapping[str, str]], Array] | None = None,
 ) -> None:
     """Check that no penetration of rigid contacts exceeds a step at the fastest approach.
 
-    `paths` returns the prescribed positions at times (m,), for controller variables (m, w) and
+    `paths` returns the poses of led bodies at times (m,), for controller variables (m, w) and
     controller states.
     """
     count = len(numbers.inverse)
@@ -54,9 +54,9 @@ def assert_depths(
         (trace.final[None], np.array([trace.t_end]), trace.final_mode),
     ]
     whole, times = (np.concatenate([part[k] for part in pieces_of_run]) for k in range(2))
-    states, frames, pieces = numbers.motion(whole)[0], None, numbers.pieces
+    states, pieces = numbers.motion(whole)[0], numbers.pieces
     if paths is not None:
-        positions_found = [
+        led = [
             paths(
                 at,
                 some[:, 2 * numbers.size :],
@@ -65,10 +65,7 @@ def assert_depths(
             )
             for some, at, mode in pieces_of_run
         ]
-        frames = np.concatenate([positions.frames for positions in positions_found])
-        poses = np.concatenate([positions.poses for positions in positions_found])
-        fixed = np.broadcast_to(numbers.fixed, (len(states), *numbers.fixed.shape))
-        states = np.concatenate([states, poses, fixed], axis=1)
+        states = numbers.poses(whole, np.concatenate(led))
     outlines = [_placed(pieces, states[:, b], p) for p, b in enumerate(pieces.bodies.tolist())]
     allowed = trace.tolerances["gap"] * (1.0 + ROUND_OFF)
     for p, q in _contact_candidates(numbers):
@@ -90,9 +87,6 @@ def assert_depths(
                 continue
             if carrier >= 0:
                 outline = _in_frames(states[:, carrier], outline)
-            elif numbers.surfaces.moves[s]:
-                assert frames is not None
-                outline = _in_frames(frames[:, s], outline)
             gaps = _above(numbers.surfaces, s, outline, pieces.radii[p])
             obstacle = "a surface"
         k = int(np.argmin(gaps))
@@ -267,7 +261,7 @@ def _depths(subject: Subject, trace: Trace) -> None:
     scene = _scene(subject).expanded
     paths = Paths(BodyMechanics(scene))
 
-    def at(times: Array, memories: Array, states: Mapping[str, str]) -> Positions:
+    def at(times: Array, memories: Array, states: Mapping[str, str]) -> Array:
         known = {name: states[name] for name in scene.controlled.flat}
         return paths.at(trace.values, times, memories, known)
 
@@ -277,7 +271,8 @@ def _depths(subject: Subject, trace: Trace) -> None:
 def _energy(subject: Subject, trace: Trace) -> None:
     numbers = _body_numbers(subject, trace)
     # Prescribed motion and forces do work.
-    if not (numbers.surfaces.moves.any() or led_bodies(_scene(subject)) or _pushed(subject)):
+    bodies, surfaces, _ = led_parts(_scene(subject))
+    if not (bodies or surfaces or _pushed(subject)):
         assert_energy_of_steps(numbers, subject, trace)
 
 

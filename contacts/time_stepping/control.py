@@ -1,16 +1,13 @@
 """Controllers of a time-stepped scene, evaluated at the ends of steps.
 
-A transition on an event fires at the end of its step; one with a guard at the end of the first step
-at which the guard is or becomes true, unless it was true before and is about to become false by
-itself. A quantity that stays on its boundary for a step, as the slip of a sticking contact does, is
-zero up to round-off: `<=` and `>=` hold, `<` and `>` do not. Steps are taken in chunks under the
-present states; those beyond a transition are reverted.
+A transition on an event fires at the end of its step, one with a guard as `guard_truths` says.
+Steps are taken in chunks under the present states; those beyond a transition are reverted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -25,18 +22,13 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.rolling_resistance import apply_rolling_resistance, couples
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_closing
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
+from contacts.time_stepping.guard_truths import ActiveStates, StepTruths
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.stop_conditions import (
-    ActiveStates,
-    first_undefined,
-    spans_within_steps,
-    turned_by_impact,
-)
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
@@ -46,8 +38,6 @@ from statechart.errors import EventLoop, SimulationError, UnsolvedImpulses
 
 _MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
 _MOST_TURNS = 100
-# Part of a step within which a guard counts as true at its end: times are rounded.
-_AT_END = 1e-6
 
 
 class ClosingImpact(NamedTuple):
@@ -72,6 +62,7 @@ class StepControl:
         states: Key,
     ) -> None:
         self._states, self._setup, self._scene = controllers, setup, scene
+        self._mechanics = mechanics
         self._queues = EventQueues(regions, controllers.flat)
         self._active = ActiveStates(regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
@@ -80,16 +71,12 @@ class StepControl:
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = states
         self._begun = False
-        # States of the controllers, and the atoms of their guards that were zero at the ends of the
-        # last step but one and of the last step.
-        self._zero: tuple[Key, Bools | None, Bools | None] = (), None, None
-        # Modes in the last steps; truths (m + 1, a) of the atoms at the start and the ends of
-        # these, false where their margins are unknown; guards that became true in the last of them.
-        self._shown, self._atoms = np.zeros((0, 0), int), np.zeros((1, 0), np.bool_)
+        self._truths = self._new_truths()
+        # Guards that became true in the last step, by region and trigger.
         self._became_true = set[tuple[int, int]]()
         # A moved surface strikes in the next step, before any other event.
         self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
-        self._mechanics, self._tapes = mechanics, dict[Key, SnapshotTape]()
+        self._tapes = dict[Key, SnapshotTape]()
         # Contacts with restitution -> their places.
         self._bouncing = {
             law.name: i for i, law in enumerate(setup.contacts) if law.restitution > 0.0
@@ -106,29 +93,16 @@ class StepControl:
         if not len(chunk.codes):
             return chunk, False
         shown = recorder.recorded_modes(chunk)
-        known, _, last = self._zero
-        before = last if known == self.states else None
-        due, atoms, zero = self._due(
-            chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown, before
-        )
-        self._shown, self._atoms = shown, np.vstack([self._atoms[-1:], atoms])
-        true = self._true(self._atoms, np.vstack([recorder.row, shown]))
-        by_impact = turned_by_impact(chunk, lambda: self._motion(chunk, start, order=1))
-        certain = atoms & (self._atoms[:-1] | ~by_impact)
-        became_true = self._true(certain, shown) & ~true[:-1]
-        may_act: Bools = np.any(due | became_true, axis=1)
+        fires, _ = self._truths.take(chunk, start, np.vstack([recorder.row, shown]))
+        may_act: Bools = np.any(fires, axis=1)
         if self._queues.waits(self.states):
             may_act |= recorder.changes(chunk)
         may_act[:1] |= self._strikes
         acts = bool(may_act.any())
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
-        self._zero = self.states, zero[end - 1] if end else before, zero[end]
-        guards = self._states.guards(self.states).watch.guards
         # Guards that became true at the instant of a moved surface wait for its impact.
         waiting = self._became_true if self._strikes else set[tuple[int, int]]()
-        self._became_true = waiting | {
-            (g.place, g.trigger) for g, now in zip(guards, became_true[end], strict=True) if now
-        }
+        self._became_true = waiting | self._chosen(fires[end])
         if end == len(may_act) - 1:
             return chunk, acts
         self._scene.forget()
@@ -153,16 +127,12 @@ class StepControl:
             and not (jump.impulse or jump.target[self._bouncing[jump.region]] in OPEN)
             and jump.source[self._bouncing[jump.region]] in OPEN
         ]
-        self._warn_of_sticking(
-            jumps,
-            (np.array([recorder.clock.high]), state[None], solved[None], recorder.row[None]),
-            h,
-        )
+        time, unknowns = np.array([recorder.clock.high]), solved[None]
+        self._warn_of_sticking(jumps, (time, state[None], unknowns, recorder.row[None]), h)
         for first, *others in _simultaneous(jumps):
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._queues.pending_after(pending, jump)
-        time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
             state = self._states.enter_initial_states(
@@ -171,31 +141,25 @@ class StepControl:
         failed = set[tuple[int, int]]()
         for _ in range(_MOST_TURNS):
             watch = self._states.guards(self.states).watch
-            at_end = time, state[None], solved[None]
-            known, before, _ = self._zero
-            before = before if known == self.states else None
-            due, self._atoms, _ = self._due(*at_end, h, recorder.row[None], before)
-            [truths] = self._true(self._atoms, recorder.row[None])
-            places = [(guard.place, guard.trigger) for guard in watch.guards]
-            hold = {place for place, now in zip(places, truths, strict=True) if now}
+            at_end = time, state[None], unknowns, recorder.row[None]
+            due, truths = self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
+            hold = self._chosen(truths)
             # The transition of another region may have turned some true.
             self._became_true |= hold & failed
-            true = {place for place, now in zip(places, due[0], strict=True) if now}
-            true |= hold & self._became_true
+            true = self._chosen(due) | (hold & self._became_true)
             firing = self._queues.first(
                 self.states,
                 pending,
                 self._states.opening_first(true, self.states),
-                partial(self._holding, *at_end, recorder.row[None]),
+                partial(self._holding, *at_end),
             )
             if firing is None:
-                at = *at_end, recorder.row[None]
                 for jump in last_bounces:
                     self._warn_of(
                         jump,
                         f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step "
                         f"of {h:g} and are left out, but {{}} waits for one; use a shorter step",
-                        at,
+                        at_end,
                     )
                 for jump, (name, place) in product(jumps, self._couplings.items()):
                     if jump.impulse and jump.source[place] == jump.target[place] == "locked":
@@ -205,19 +169,20 @@ class StepControl:
                         )
                         for cause in ("slip", "lock"):
                             event = _event(jump, name, cause)
-                            if self._waiting(event, at) and self._strikes_coupling(jump, place):
-                                self._warn_of(event, why, at)
+                            if self._waiting(event, at_end) and self._strikes_coupling(jump, place):
+                                self._warn_of(event, why, at_end)
                 return state
             name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
             source = self.states[firing.place]
             self._became_true = {one for one in self._became_true if one[0] != firing.place}
-            failed = {one for one in {*places} - hold if one[0] != firing.place}
+            failed = {one for one in self._chosen(~truths) if one[0] != firing.place}
             self.states = (
                 *self.states[: firing.place],
                 taken.target,
                 *self.states[firing.place + 1 :],
             )
+            self._truths = self._new_truths()
             after = self._states.updated(
                 self._setup, recorder.clock, taken.name, taken.blocks, state
             )
@@ -246,8 +211,7 @@ class StepControl:
             pending, state = self._queues.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True
-                at_end = time, state[None], solved[None]
-                _, self._atoms, _ = self._due(*at_end, h, recorder.row[None], None)
+                self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
                 return state
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}"
@@ -262,9 +226,7 @@ class StepControl:
     ) -> set[tuple[int, int]]:
         """Return the guards due at the start, by region and trigger, in modes `codes` (r,)."""
         state = self._states.enter_initial_states(self._setup, Clock(), state, self.states)
-        due = self._due(np.zeros(1), state[None], solved[None], h, codes[None], None)[0][0]
-        watched = self._states.guards(self.states).watch.guards
-        return {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now}
+        return self._chosen(self._truths.at(0.0, state, solved, h, codes)[0])
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -287,9 +249,8 @@ class StepControl:
         laws, first = self._setup.contacts, len(jump.source) - len(self.states)
         snapshot = self._snapshots(jump.source[first:]).at(self._setup.values, jump.before, jump.t)
         impulses = np.array([jump.impulse.get(law.name, (0.0, 0.0)) for law in laws])
-        push = np.einsum("ckn,ck->n", snapshot.jacobians, impulses)
-        change = np.linalg.lstsq(snapshot.mass, push)[0]
-        return bool(abs(snapshot.jacobians[place, 1] @ change) > self._setup.slip_tolerance)
+        change = snapshot.jacobians[place, 1] @ _velocity_change(snapshot, impulses)
+        return bool(abs(change) > self._setup.slip_tolerance)
 
     def _snapshots(self, states: Key) -> SnapshotTape:
         """Return the snapshots in states of the controllers."""
@@ -353,11 +314,10 @@ class StepControl:
                     f"no impulses stop the contacts of what joint {joint!r} closes on at "
                     f"t = {time:.6g}; close it away from contacts, or at another time"
                 )
-            push = np.einsum("ckn,ck->n", jacobians, pushes)
-            change = np.linalg.lstsq(snapshot.mass, push)[0]
             impulses[touching] = pushes
+            velocity = snapshot.velocity + _velocity_change(snapshot, impulses)
             velocity, impulses = apply_rolling_resistance(
-                snapshot, contacts, snapshot.velocity + change, impulses, setup.slip_tolerance
+                snapshot, contacts, velocity, impulses, setup.slip_tolerance
             )
             state, rates = snapshot.moved(state, velocity), jacobians @ velocity
             at_rest = np.isin(recorder.row[touching], [*RESTS])
@@ -381,81 +341,32 @@ class StepControl:
             tape.joint_impulse(snapshot, before, state, impulses) | couples(contacts, impulses),
         )
 
-    def first_undefined_guard(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
+    def first_undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name."""
-        if not len(chunk.codes):
-            return None
-        guards, solved = self._states.guards(self.states), chunk.solved[:, self._order]
-        rows = guards.table(self._setup, chunk.ends(start), chunk.states[1:], solved)
-        singles = guards.watch.singles
-        margins = rows[:, singles, 0]
-        found = first_undefined(margins, np.hstack([chunk.states[1:], solved]))
-        return None if found is None else (found[0], guards.watch.margins[singles[found[1]]])
+        return self._truths.undefined(chunk)
 
-    def _due(
-        self, times: Array, states: Array, solved: Array, h: float, codes: Ints,
-        before: Bools | None,
-    ) -> tuple[Bools, Bools, Bools]:  # fmt: skip
-        """Return the guards (m, g) that are due, and the atoms (m, a) that are true, and at zero.
+    def accept(self, chunk: Chunk, start: float, end: float) -> None:
+        """Continue after steps, the first of those of `cut`, until the run is at `end`."""
+        self._left_out = self._truths.accept(chunk, start, end) | self._left_out
 
-        Atoms that become false within the next step make no guard due.
-
-        `codes` (m, r) are modes of contacts; `before` (a,) are the atoms that were zero one step
-        earlier, where known.
-        """
-        guards = self._states.guards(self.states)
-        points = self._setup, times, states, solved[:, self._order]
-        margin, size = np.moveaxis(guards.table(*points), -1, 0)
-        rate, second = (guards.table(*points, order=order)[..., 0] for order in (1, 2))
-        passing = (rate > 0.0) & (margin + h * rate >= 0.0)
-        falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
-        true: Bools = margin + _AT_END * h * falling < 0.0
-        # A margin that has just come to zero was braked, and need not cross: a strict guard waits
-        # until it leaves zero. Times do cross.
-        zero = self._setup.rounded * size
-        near = ~guards.watch.timed & (np.abs(margin) <= zero)
-        rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
-        # The rates of forces are unknown: they stay if they were zero a step ago.
-        first = np.zeros(near.shape[1], np.bool_) if before is None else before
-        stays = np.isfinite(rate) | np.vstack([first, near[:-1]])
-        atoms: Bools = np.where(near, guards.watch.closed & stays & ~rises, true)
-        return self._true(atoms & (near | ~passing), codes), atoms, near
-
-    def _true(self, atoms: Bools, codes: Ints) -> Bools:
-        """Return the guards (m, g) that are true, from their atoms (m, a) and modes (m, r)."""
-        active = self._active.at(codes, self.states)
-        return self._states.guards(self.states).watch.truths(atoms, active)
-
-    def note_spans(self, chunk: Chunk, start: float, end: float) -> None:
-        """Note warnings of guards that are true within a step only, until the run is at `end`.
-
-        The steps are the first of those that `cut` returned last.
-        """
-        guards = self._states.guards(self.states)
-        if guards.watch.single:
-            return
-        times, margins = np.append(start, chunk.ends(start)), self._motion(chunk, start)
-        times[-1] = end
-        by_impact = turned_by_impact(chunk, lambda: self._motion(chunk, start, order=1))
-
-        def active(k: int, n: int) -> Callable[[str, str], Bools]:
-            return self._active.at(np.tile(self._shown[k], (n, 1)), self.states)
-
-        found = spans_within_steps(
-            guards.watch, chunk, times, margins, self._atoms, by_impact, active
+    def _new_truths(self) -> StepTruths:
+        """Return the guards of the present states."""
+        guards, states = self._states.guards(self.states), self.states
+        setup, unknowns = self._setup, self._order
+        return StepTruths(
+            guards.watch,
+            lambda times, rows, solved, order: guards.table(
+                setup, times, rows, solved[:, unknowns], order=order
+            ),
+            setup.rounded,
+            len(self._mechanics.q),
+            lambda codes: self._active.at(codes, states),
         )
-        self._left_out = found | self._left_out
 
-    def _motion(self, chunk: Chunk, start: float, *, order: int = 0) -> Array:
-        """Return margins (m + 1, a), or rates, at the start and the ends of steps.
-
-        They are NaN where accelerations or forces decide them.
-        """
-        times = np.append(start, chunk.ends(start))
-        unknown = np.full((len(times), len(self._order)), np.nan)
-        guards = self._states.guards(self.states)
-        margins: Array = guards.table(self._setup, times, chunk.states, unknown, order=order)
-        return margins[..., 0]
+    def _chosen(self, which: Bools) -> set[tuple[int, int]]:
+        """Return some of the guards of the present states, by region and trigger."""
+        guards = self._states.guards(self.states).watch.guards
+        return {(g.place, g.trigger) for g, now in zip(guards, which, strict=True) if now}
 
     def _holding(
         self, times: Array, states: Array, solved: Array, codes: Ints
@@ -465,6 +376,13 @@ class StepControl:
         rows = guards.table(self._setup, times, states, solved[:, self._order])[0]
         active = self._active.at(codes, self.states)
         return guards.watch.holding(rows, self._setup.rounded, lambda *of: bool(active(*of)[0]))
+
+
+def _velocity_change(snapshot: Snapshot, impulses: Array) -> Array:
+    """Return the change of velocity (n,) by impulses (c, 2) of contacts."""
+    push = np.einsum("ckn,ck->n", snapshot.jacobians, impulses)
+    change: Array = np.linalg.lstsq(snapshot.mass, push)[0]
+    return change
 
 
 def _bounces_end(e: float) -> float:

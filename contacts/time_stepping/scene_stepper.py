@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -44,7 +45,7 @@ from contacts.states import (
 )
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
-from contacts.time_stepping.equations import LANDED, ContactHistory, StepConstants
+from contacts.time_stepping.equations import HOLDING, LANDED, ContactHistory, StepConstants
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
@@ -254,6 +255,14 @@ class SteppedScene(SteppedSystem):
         """Let contacts (c,) be closed and sliding, and forces decide modes, as after impacts."""
         self._step_state.contacts.closed[:] = self._step_state.contacts.slip[:] = closed
         self._step_state.contacts.settling[:] = LANDED
+
+    def keep(self, idle: Bools, state: Array) -> None:
+        """Let contacts (c,) that touch without a load last at the start."""
+        if idle.any():
+            slips = self._source.contacts(self._values, state)[:, 2]
+            memory = self._step_state.contacts
+            memory.closed[idle], memory.slip[idle], memory.modes[idle] = True, slips[idle], PIN
+            memory.landing_steps[idle], memory.settling[idle] = HOLDING, LANDED
 
     def hold(
         self, stopped: Mapping[int, tuple[float, float]], leaving: Collection[int]
@@ -563,8 +572,8 @@ def _failure(status: int) -> SingularMode | NonFinite:
     )
 
 
-# Trial step for the initial modes, in the scene's time.
-_TRIAL = 1e-6
+# Trial step for the initial modes, in the scene's time; a longer one, where no step is declared.
+_TRIAL, _LONGER = 1e-6, 1e3
 
 
 def _trial_step(setup: SceneSetup) -> float:
@@ -604,33 +613,36 @@ class SceneStepper(Stepper):
     ) -> RunInputs:
         setup = self._numbers.at(overrides, RELATIVE, stepped=True)
 
-        def begin(controls: Key) -> tuple[RunInputs, Array]:
+        def begin(controls: Key) -> RunInputs:
             failure, warnings = None, tuple[str, ...]()
-            off = np.zeros(len(setup.contacts), np.bool_)
+            off = idle = np.zeros(len(setup.contacts), np.bool_)
             codes, solved = np.full(len(off), FREE), np.zeros(0)
             try:
-                codes, off, warnings, solved = self._checked(setup, allowed, controls)
+                codes, off, idle, warnings, solved = self._checked(setup, step, allowed, controls)
             except SimulationError as error:
                 failure = error
             scene = SteppedScene(self._tapes, self._numbers, setup, off, allowed, controls)
+            scene.keep(idle, setup.initial)
             change = None if self._scene.regions else scene.change
-            return RunInputs(setup, scene, codes, warnings, controls, failure, change), solved
+            return RunInputs(setup, scene, codes, warnings, controls, solved, failure, change)
 
-        def due_in(_: Key, start: tuple[RunInputs, Array]) -> Set[tuple[int, int]]:
-            inputs, solved = start
-            control = self.control(inputs)
-            if control is None or inputs.failure is not None:
+        def due_in(_: Key, start: RunInputs) -> Set[tuple[int, int]]:
+            control = self.control(start)
+            if control is None or start.failure is not None:
                 return frozenset()
-            return control.due_at_start(setup.initial, solved, inputs.codes, _trial_step(setup))
+            return control.due_at_start(
+                setup.initial, start.solved, start.codes, _trial_step(setup)
+            )
 
-        return self._tapes.settle_start(begin, due_in)[0]
+        return self._tapes.settle_start(begin, due_in)
 
     def _checked(
-        self, setup: SceneSetup, allowed: float, controls: Key
-    ) -> tuple[Ints, Bools, tuple[str, ...], Array]:
+        self, setup: SceneSetup, step: float, allowed: float, controls: Key
+    ) -> tuple[Ints, Bools, Bools, tuple[str, ...], Array]:
         """Check the initial state.
 
-        Returns initial modes, disabled contacts, warnings, and unknowns of a short step.
+        Returns initial modes, contacts that are disabled, and those that bear in the next steps
+        only; warnings, and unknowns of a short step.
         """
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         entered = self._tapes.enter_initial_states(setup, Clock(), setup.initial, controls)
@@ -662,17 +674,20 @@ class SceneStepper(Stepper):
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)
                 warnings += hovering_warnings(self._scene, setup.scales, closed, [law.name], [row])
-        h = _trial_step(setup)
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T
         # A contact that could slide may have another motion as good.
         sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
         sliding[len(self._scene.contacts) :] = False
 
+        def new_trial() -> SteppedScene:
+            return SteppedScene(self._tapes, self._numbers, setup, off, allowed, controls)
+
         def try_step(closed: Bools) -> tuple[SteppedScene, Chunk]:
-            trial = SteppedScene(self._tapes, self._numbers, setup, off, allowed, controls)
+            trial = new_trial()
             trial.press(closed)
             return trial, trial.steps(0.0, h, setup.initial, 1)
 
+        h = _trial_step(setup)
         trial, first = try_step(np.zeros_like(off))
         codes = first.modes[0]
         # Contacts that strike at once are free before. Jamming ones slide before, and so do those
@@ -680,6 +695,15 @@ class SceneStepper(Stepper):
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
         slips = slow & (first.struck[0] | ((codes == PIN) & ~sticks))
         codes = np.where(slips, slides, np.where(first.struck[0], FREE, codes))
+        # A taut rope without tension bears from the next steps on.
+        idle = slow & (np.abs(measured[:, 0]) <= near) & ~off & (codes == FREE)
+        if idle.any():
+            later = new_trial()
+            later.keep(idle, setup.initial)
+            with suppress(SimulationError):  # of the first steps of the run
+                steps = later.steps(0.0, step or _LONGER * h, setup.initial, HOLDING + 1)
+                idle &= ~np.any((steps.modes == FREE) | steps.struck, axis=0)
+                codes = np.where(idle, steps.modes[0], codes)
         if sliding.any() and try_step(sliding)[1].stats[0, CHOSEN]:
             warnings.append(f"at the start {INDETERMINATE}")
         if trial.filled:
@@ -687,7 +711,7 @@ class SceneStepper(Stepper):
                 "coordinates without an inertia of their own are computed with 1e-9 of the bodies' "
                 "at the contacts"
             )
-        return codes, off, tuple(warnings), first.solved[0]
+        return codes, off, idle, tuple(warnings), first.solved[0]
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
         """Yield a warning for each friction coefficient that is reduced."""

@@ -57,7 +57,7 @@ from contacts.time_stepping.step_rejection import (
 )
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
-from statechart.arrays import EPS, Bools, Ints
+from statechart.arrays import EPS, Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.time_stepper import (
     DEFAULT_IMPULSES,
@@ -91,6 +91,7 @@ class RunInputs(NamedTuple):
     codes: Ints  # (r,): initial modes, codes of `contacts.states`.
     warnings: tuple[str, ...]  # Besides those of the setup.
     controls: Key  # Initial states of controllers.
+    solved: Array  # (u,): unknowns at the start, NaN if no step tells them.
     failure: SimulationError | None = None  # Why no step can be taken.
     # Changes values of parameters and returns the setup; None if unsupported.
     change: Callable[[Mapping[str, float]], SceneSetup] | None = None
@@ -169,13 +170,13 @@ class SteppedRun:
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
-        met = self.stops.at_start(self.state, self.recorder)
+        solved = self._inputs.solved
+        met = self.stops.at_start(self.state, solved, self.recorder, step)
         if met is not None:
             self._stop(met)
             return
         yield True
         if self.control is not None:
-            solved = self.stops.unknown()
             self.state = self.control.turn(self.recorder, (), self.state, solved, step)
         whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
         rest = until - whole * step
@@ -242,15 +243,16 @@ class SteppedRun:
         if failed is not None:
             failure = failed[1]
             chunk = chunk.first(failed[0])
-        lost = self.stops.first_undefined_condition(chunk, start)
+        self.stops.take(chunk, start, self.recorder)
+        lost = self.stops.first_undefined(chunk)
         if lost is None and self.control is not None:
-            lost = self.control.first_undefined_guard(chunk, start)
+            lost = self.control.first_undefined(chunk)
         if lost is not None:
             failure = NonFinite(
                 f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
             )
             chunk = chunk.first(lost[0])
-        stopped = self.stops.first_met(chunk, start, self.recorder.controls)
+        stopped = self.stops.first_met(chunk)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
         if len(chunk.codes):
@@ -270,9 +272,9 @@ class SteppedRun:
         if stopped is not None:
             self.state = self.stops.locate(self.recorder, stopped[1])
             self._stop(stopped[1])
-        self.stops.note_spans(chunk, start, self.time, self.recorder.controls)
+        self.stops.accept(chunk, start, self.time)
         if self.control is not None:
-            self.control.note_spans(chunk, start, self.time)
+            self.control.accept(chunk, start, self.time)
         if stopped is not None:
             return True
         if failure is not None:

@@ -2,101 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.states import STATES
 from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.guard_truths import ActiveStates, StepTruths
 from contacts.time_stepping.lazy_arcs import cut
 from contacts.time_stepping.recorder import Recorder
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Arc, Key
 from statechart.charts.guard_watch import Guard, GuardWatch
 from statechart.formulas.relation import parse_relation
 
 
-class ActiveStates:
-    """Active states of regions, by mode codes of steps and controller states."""
-
-    def __init__(self, regions: Sequence[Region]) -> None:
-        self._places = {region.name: (place, region) for place, region in enumerate(regions)}
-
-    def at(self, codes: Ints, controls: Key) -> Callable[[str, str], Bools]:
-        """Return a test of the rows (m,) in which a region is in a state."""
-
-        def active(name: str, state: str) -> Bools:
-            place, region = self._places[name]
-            if place >= codes.shape[1]:
-                now = state in region.active(controls[place - codes.shape[1]])
-                return np.full(len(codes), now)
-            table = [state in region.active(other) for _, other in sorted(STATES.items())]
-            return np.array(table)[codes[:, place]]
-
-        return active
-
-
-def turned_by_impact(chunk: Chunk, rates: Callable[[], Array]) -> Bools:
-    """Return the atoms (m, a), or (m, 1), whose truth at the end of a step an impact may feign.
-
-    An impact at mid-step may leave a margin beyond the bound at which the motion turns it back.
-    `rates` returns those of margins (m + 1, a), NaN where an impact changes the margin itself.
-    """
-    hit: Bools = np.any(chunk.struck, axis=1)[:, None]
-    if not hit.any():
-        return hit
-    at = rates()
-    return hit & ~((at[:-1] >= 0.0) | (at[1:] <= 0.0))
-
-
-def spans_within_steps(
-    watch: GuardWatch,
-    chunk: Chunk,
-    times: Array,
-    rows: Array,
-    atoms: Bools,
-    by_impact: Bools,
-    active: Callable[[int, int], Callable[[str, str], Bools]],
-) -> dict[str, str]:
-    """Return relation -> warning that it is true within a step, at neither end.
-
-    `times` (m + 1,), `rows` (m + 1, a) and `atoms` (m + 1, a) are the times, margins and truths at
-    the start and the ends of the m steps of a chunk. A run may end before its last step does, at
-    the last of the times. Margins are interpolated, and NaN where unknown. Atoms `by_impact` (of
-    `turned_by_impact`) count as true only if they are so at both ends. `active` returns a test of n
-    rows for states that are active in a step.
-    """
-    found, count = dict[str, str](), len(chunk.codes)
-    changed = np.isfinite(rows[:-1] + rows[1:]) & (rows[:-1] != rows[1:]) & ~by_impact
-    changed &= atoms[:count] != atoms[1 : count + 1]
-    for k in np.flatnonzero(changed.sum(axis=1) > 1).tolist():
-        first, last, own = rows[k], rows[k + 1], changed[k]
-        # A margin at zero within round-off may change its truth without a crossing.
-        shares = np.sort(np.clip(first[own] / (first - last)[own], 0.0, 1.0))
-        middles = 0.5 * (shares[:-1] + shares[1:])
-        middles = middles[times[k] + middles * chunk.h < times[-1]]
-        at = np.where(own, first + middles[:, None] * (last - first), last)
-        inside = np.where(watch.closed, at <= 0.0, at < 0.0)
-        inside &= ~by_impact[k] | (atoms[k] & atoms[k + 1])
-        true = watch.truths(np.vstack([inside, atoms[k : k + 2]]), active(k, len(at) + 2))
-        for i in np.flatnonzero(true[:-2].any(axis=0) & ~true[-2] & ~true[-1]).tolist():
-            name = watch.guards[i].name
-            found[name] = (
-                f"{name} is true within the step of {chunk.h:g} at t = {times[k]:.6g}, "
-                "at neither end: steps pass over it; use a shorter step"
-            )
-    return found
-
-
 class StopTapes:
-    """Stop conditions over variables and unknowns, watched as guards are.
-
-    `jumping` (a,): atoms that only jumps change.
-    """
+    """Stop conditions over variables and unknowns, watched as guards are."""
 
     def __init__(
         self, mechanics: Mechanics, unknowns: Sequence[sp.Symbol], regions: Sequence[Region]
@@ -117,14 +42,7 @@ class StopTapes:
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
         )
-        flowing = mechanics.scene.controlled.flowing
-        still = {*mechanics.parameters.ordered}
-        still |= {
-            symbol for name, symbol in mechanics.controller_state.items() if name not in flowing
-        }
-        atoms = [atom for condition in self.watch.conditions for atom in condition.atoms]
-        self.jumping = np.array([a.expression.free_symbols <= still for a in atoms], np.bool_)
-        self.active = ActiveStates(regions)
+        self.active, self.coordinates = ActiveStates(regions), len(mechanics.q)
 
 
 # Bisections of a step.
@@ -138,14 +56,14 @@ class StopConditions:
         self._tapes, self._setup, self._watch = tapes, setup, tapes.watch
         assert setup.sizes is not None
         self._sizes = np.concatenate([setup.sizes, setup.scales.solved(tapes.unknowns)])
-        # States and mode of the step in which a condition was met.
-        self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
-        # Whether margins were zero at the end of the last step.
-        self._near = np.zeros(len(tapes.jumping), dtype=np.bool_)
-        # Truths (m + 1, a) of atoms at the start and the ends of the last steps, false where their
-        # margins are unknown.
-        self._atoms = np.zeros((1, len(tapes.jumping)), np.bool_)
-        # Condition -> warning that it is true within a step only.
+        self._truths = StepTruths(
+            self._watch, self._table, setup.rounded, tapes.coordinates,
+            lambda codes: tapes.active.at(codes, self._controls),
+        )  # fmt: skip
+        self._controls: Key = ()
+        # Conditions (k, s) that hold at the ends of the last steps; modes where one was met.
+        self._met, self._codes = np.zeros((0, 0), np.bool_), np.zeros((1, 0), int)
+        # Condition -> warning that it is true for less than a step.
         self._spans = dict[str, str]()
 
     @property
@@ -153,89 +71,41 @@ class StopConditions:
         """Warnings of conditions that steps pass over."""
         return tuple(self._spans.values())
 
-    def unknown(self) -> Array:
-        """Return NaN for the unknowns before the first step."""
-        return np.full(self._tapes.unknowns, np.nan)
+    def at_start(self, state: Array, solved: Array, recorder: Recorder, h: float) -> int | None:
+        """Return the condition that holds at the start, with these unknowns, if any."""
+        self._controls = recorder.controls
+        _, true = self._truths.at(0.0, state, solved, h, recorder.start)
+        return int(np.argmax(true)) if true.any() else None
 
-    def at_start(self, state: Array, recorder: Recorder) -> int | None:
-        """Return the condition that holds at the start; those on unknowns wait for a step."""
+    def take(self, chunk: Chunk, start: float, recorder: Recorder) -> None:
+        """Evaluate the conditions in steps."""
         if not self._tapes.names:
-            return None
-        self._atoms = self._met(np.concatenate([state, self.unknown()])[None], np.zeros(1))
-        below = self._truths(self._atoms, recorder.start[None], recorder.controls)[0]
-        return int(np.argmax(below)) if below.any() else None
-
-    def first_met(self, chunk: Chunk, start: float, controls: Key) -> tuple[int, int] | None:
-        """Return (step, condition) of the first condition that holds at the end of a step.
-
-        `controls` are the controller states in these steps.
-        """
-        if not self._tapes.names:
-            return None
-        atoms = self._met(_ends(chunk), chunk.ends(start))
-        below = self._truths(atoms, chunk.codes, controls)
-        self._atoms = np.vstack([self._atoms[-1:], atoms])
-        if not below.any():
-            return None
-        k = int(np.argmax(below.any(axis=1)))
-        self._modes = chunk.codes[k : k + 1], controls
-        return k, int(np.argmax(below[k]))
-
-    def note_spans(self, chunk: Chunk, start: float, end: float, controls: Key) -> None:
-        """Note warnings of conditions that are true within a step only, until the run is at `end`.
-
-        The steps are the first of those that `first_met` had last.
-        """
-        if self._watch.single:
             return
-        unknown = np.tile(self.unknown(), (len(chunk.states), 1))
-        times, points = np.append(start, chunk.ends(start)), np.hstack([chunk.states, unknown])
-        margins = self._table(points, times)[..., 0]
-        by_impact = turned_by_impact(chunk, lambda: self._table(points, times, order=1)[..., 0])
-        times[-1] = end
+        self._controls = recorder.controls
+        self._met = self._truths.take(chunk, start, np.vstack([recorder.row, chunk.codes]))[1]
 
-        def active(k: int, n: int) -> Callable[[str, str], Bools]:
-            return self._tapes.active.at(np.tile(chunk.codes[k], (n, 1)), controls)
+    def first_met(self, chunk: Chunk) -> tuple[int, int] | None:
+        """Return (step, condition) of the first condition that holds at the end of a step."""
+        met = self._met[: len(chunk.codes)]
+        if not met.any():
+            return None
+        k = int(np.argmax(met.any(axis=1)))
+        self._codes = chunk.codes[k : k + 1]
+        return k, int(np.argmax(met[k]))
 
-        found = spans_within_steps(
-            self._watch, chunk, times, margins, self._atoms, by_impact, active
-        )
-        self._spans = found | self._spans
-
-    def _truths(self, atoms: Bools, codes: Ints, controls: Key) -> Bools:
-        """Return which conditions (k, s) hold, from their atoms (k, a)."""
-        return self._watch.truths(atoms, self._tapes.active.at(codes, controls))
-
-    def _table(self, rows: Array, times: Array, *, order: int = 0) -> Array:
-        """Return the margins of the atoms, or rates, and the sizes of their terms (k, a, 2)."""
-        return self._watch.table(self._setup, rows, self._sizes, times, order=order)
-
-    def _met(self, rows: Array, times: Array) -> Bools:
-        margins, terms = np.moveaxis(self._table(rows, times), -1, 0)
-        # A resting coordinate moves by solver residuals.
-        near = np.abs(margins) <= self._setup.rounded * np.nan_to_num(terms)
-        ends = np.vstack([self._near, near])
-        before, self._near = ends[:-1], ends[-1]
-        # An atom that includes its boundary holds after a step there, or at once if it jumps.
-        closed, jumped = self._watch.closed, self._tapes.jumping & (margins == 0.0)
-        return ((margins < 0.0) & ~near) | (closed & (jumped | (before & near)))
-
-    def first_undefined_condition(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
+    def first_undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a condition has no value, and its name."""
-        if not self._tapes.names:
-            return None
-        rows = _ends(chunk)
-        margins = self._table(rows, chunk.ends(start))[..., 0]
-        for condition, first in zip(self._watch.conditions, self._watch.firsts, strict=True):
-            # A compound condition is lost only if all its atoms are.
-            part = margins[:, first : first + len(condition.atoms)]
-            if not condition.single:
-                part[~np.isnan(part).all(axis=1)] = 0.0
-        found = first_undefined(margins, rows)
-        if found is None:
-            return None
-        owner = int(np.searchsorted(self._watch.firsts, found[1], side="right")) - 1
-        return found[0], self._tapes.names[owner]
+        return self._truths.undefined(chunk) if self._tapes.names else None
+
+    def accept(self, chunk: Chunk, start: float, end: float) -> None:
+        """Continue after steps, the first of those taken last, until the run is at `end`."""
+        if self._tapes.names:
+            self._spans = self._truths.accept(chunk, start, end) | self._spans
+
+    def _table(self, times: Array, states: Array, solved: Array, order: int = 0) -> Array:
+        """Return the margins of the atoms, or derivatives, and the sizes of terms (k, a, 2)."""
+        rows = np.hstack([states, solved])
+        return self._watch.table(self._setup, rows, self._sizes, times, order=order)
 
     def locate(self, recorder: Recorder, condition: int) -> Array:
         """Cut the recorded run where a condition is met in its last step; return that state."""
@@ -265,23 +135,8 @@ class StopConditions:
         at = np.array([local])
         unknowns = arc.unknowns(at)
         assert unknowns is not None
-        rows = np.hstack([arc.states(at), unknowns])
-        margins = self._table(rows, np.array([arc.start.later(local).high]))[0, :, 0]
-        active = self._tapes.active.at(*self._modes)
+        time = np.array([arc.start.later(local).high])
+        margins = self._table(time, arc.states(at), unknowns)[0, :, 0]
+        active = self._tapes.active.at(self._codes, self._controls)
         stop, first = self._watch.conditions[condition], self._watch.firsts[condition]
         return stop.margin(margins[first:].tolist(), lambda *of: bool(active(*of)[0]))
-
-
-def _ends(chunk: Chunk) -> Array:
-    """Return the inputs of conditions at the ends of steps."""
-    return np.hstack([chunk.states[1:], chunk.solved])
-
-
-def first_undefined(margins: Array, inputs: Array) -> tuple[int, int] | None:
-    """Return (row, column) of the first margin that is NaN although its inputs are finite.
-
-    Forces of steps with impacts are NaN, and so are margins on them.
-    """
-    known: Bools = np.all(np.isfinite(inputs), axis=1)
-    lost = np.argwhere(np.isnan(margins) & known[:, None]).tolist()
-    return (lost[0][0], lost[0][1]) if lost else None

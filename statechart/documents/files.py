@@ -60,13 +60,13 @@ def write_atomic(path: Path, data: bytes) -> None:
 
 
 @contextmanager
-def writing(path: Path | str, advice: str = "") -> Iterator[None]:
-    """Raise `StatechartError` with `advice` for an `OSError` while a file is written."""
+def writing(path: Path | str, advice: str = "", verb: str = "write") -> Iterator[None]:
+    """Raise `StatechartError` with `advice` for an `OSError` while a file is written or read."""
     try:
         yield
     except OSError as error:
         reason = f"{error.strerror or error}{advice and '; '}{advice}"
-        raise StatechartError(f"cannot write {path}: {reason}") from error
+        raise StatechartError(f"cannot {verb} {path}: {reason}") from error
 
 
 def obstacle(path: Path) -> str:

@@ -219,11 +219,12 @@ def _finite(row: Array) -> bool:
 
 @kernel
 def advance_clock(clock: Array, h: float) -> None:
-    """Advance the clock by `h` (Knuth's two-sum)."""
+    """Advance a clock, the sum of its first two numbers, by `h` (as `Clock.later` does)."""
     later = clock[0] + h
     elapsed = later - clock[0]
-    clock[1] += (clock[0] - (later - elapsed)) + (h - elapsed)
-    clock[0] = later
+    error = (clock[0] - (later - elapsed)) + (h - elapsed) + clock[1]
+    clock[0] = later + error
+    clock[1] = error - (clock[0] - later)
 
 
 @kernel

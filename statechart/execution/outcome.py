@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 from statechart import progress
 from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
@@ -30,7 +28,8 @@ class Progress:
     def show(self, time: float, jumps: int, steps: int) -> None:
         """Report the progress at intervals."""
         now = working_time()
-        if now - self._shown < (_PROGRESS_AFTER if self._bar is None else _MOVES):
+        bar = self._bar
+        if now - self._shown < (_MOVES if bar is not None and bar.drawn else _PROGRESS_AFTER):
             return
         self._shown = now
         text = (
@@ -38,13 +37,8 @@ class Progress:
             f"{pluralise(steps, 'step')}, "
             f"{now - self._began:.0f} s"
         )
-        if self._bar is None and progress.possible():
-            self._bar = progress.Bar(self._until)
-        if self._bar is not None:
-            self._bar.show(time, text)
-            return
-        sys.stderr.write(f"{text}\n")
-        sys.stderr.flush()
+        self._bar = self._bar or progress.Bar(self._until)
+        self._bar.show(time, text)
 
     def close(self) -> None:
         """End the report."""

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from operator import attrgetter
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace, sizes
+from statechart.observation.alignment import pair_jumps
 from statechart.observation.sampling import at_times, sample_arcs
 from statechart.observation.scales import NO_SCALES, Scales
 from statechart.observation.scales import OutputValue as Output
-from statechart.observation.zeno_tails import drop_summed
 
 # Values below this fraction of all others are round-off of zero. In time stepping, velocities of a
 # stack at rest are 1.5e-12.
 _ZERO_PART = 1e-11
 _PARTED_PART = 1e-2  # relative difference of separated runs
-_MAX_PASSED_OVER = 64  # jumps
 _TIMES_BETWEEN = 16  # samples between two events, for separation
 _TIMES_ALONG, _MIN_TIMES = 512, 2  # samples of the distance, in a run and between two events
 
@@ -56,6 +54,7 @@ class Difference:
     named: Mapping[str, float]  # of every output, including lengths of lists
     decides: Compared  # the value with the largest difference
     diverged: float | None  # time of the first different mode or outcome
+    pairs: Sequence[tuple[Jump, Jump]]  # the common events
 
     @property
     def outputs(self) -> float:
@@ -125,6 +124,7 @@ def compare(
         {name: one.off for name, one in outputs.items()},
         _worst((state, delay, *outputs.values())),
         diverged,
+        pairs,
     )
 
 
@@ -155,12 +155,7 @@ def separation_time(reference: Trace, trace: Trace, *, brief: float = 0.0) -> fl
     times = np.concatenate(grids)
     if len(times) == 0 or not (reference.arcs and trace.arcs):
         return diverged
-    scale = _scales(reference, trace)
-    with np.errstate(invalid="ignore"):
-        differing = (
-            np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
-            > _PARTED_PART * scale
-        )
+    differing = _relative_differences(reference, trace, times) > _PARTED_PART
     where = np.flatnonzero(differing.any(axis=1))
     return float(times[where[0]]) if len(where) else diverged
 
@@ -182,9 +177,8 @@ def distance(reference: Trace, trace: Trace) -> float:
     place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     weights = np.repeat(lengths / counts, counts)
     times = np.minimum(np.repeat(marks[:-1], counts) + (place + 0.5) * weights, end)
-    with np.errstate(invalid="ignore"):
-        differences = np.abs(_sampled_states(reference, times) - _sampled_states(trace, times))
-    return float((weights @ differences / (end * _scales(reference, trace))).max(initial=0.0))
+    differences = _relative_differences(reference, trace, times)
+    return float((weights @ differences).max(initial=0.0) / end)
 
 
 def mode_disagreement(reference: Trace, trace: Trace) -> float:
@@ -208,98 +202,13 @@ def mode_disagreement(reference: Trace, trace: Trace) -> float:
     return float(np.diff(marks) @ (one != other)) / end
 
 
-def pair_jumps(
-    coarse: Trace, fine: Trace, *, brief: float = 0.0
-) -> tuple[list[tuple[Jump, Jump]], float | None]:
-    """Pair the jumps of two runs; return the pairs, and the time of the first unpaired one.
-
-    The number of resolved jumps of a Zeno sequence depends on the tolerance: jumps that one run
-    summed up are omitted (see `drop_summed`), and those after the accumulation of the other run
-    are passed over.
-    """
-    pairs: list[tuple[Jump, Jump]] = []
-    a, b = coarse.jumps, fine.jumps
-    ends: set[int] = set()
-    unpaired = drop_summed([a, b])
-    if unpaired is not None:
-        ends = {id(jump) for run in unpaired for jump, end in run if end}
-        a, b = (tuple(jump for jump, _ in run) for run in unpaired)
-    window = brief * max(coarse.t_end, fine.t_end)
-    i = j = 0
-    while i < len(a) and j < len(b):
-        one, other = a[i], b[j]
-        if _what(one) == _what(other) or (
-            {id(one), id(other)} <= ends and one.target == other.target
-        ):
-            pairs.append((one, other))
-            i, j = i + 1, j + 1
-        elif _is_zeno(one) and _repeats(other, one):
-            j += 1
-        elif _is_zeno(other) and _repeats(one, other):
-            i += 1
-        else:
-            next_match = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
-            if next_match is None:
-                return pairs, min(one.t, other.t)
-            i, j = next_match
-    remainder = (*a[i:], *b[j:])
-    if not remainder:
-        return pairs, None
-    ended = remainder[0].t
-    passed = 0.0 <= remainder[-1].t - ended < window and remainder[-1].target == remainder[0].source
-    return pairs, None if passed else ended
-
-
-def _next_common_mode(
-    a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float
-) -> tuple[int, int] | None:
-    """Return the nearest indices in both runs, within `window`, after which their modes agree."""
-    limit = min(a[i].t, b[j].t) + window
-    after_a = [a[i].source, *(jump.target for jump in _jumps_until(a, i, limit))]
-    after_b = [b[j].source, *(jump.target for jump in _jumps_until(b, j, limit))]
-    for total in range(1, len(after_a) + len(after_b) - 1):
-        for p in range(max(0, total - len(after_b) + 1), min(total, len(after_a) - 1) + 1):
-            if after_a[p] == after_b[total - p] and _resumes_together(
-                a, b, i + p, j + total - p, window
-            ):
-                return i + p, j + total - p
-    return None
-
-
-def _resumes_together(a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float) -> bool:
-    if i < len(a) and j < len(b):
-        return abs(a[i].t - b[j].t) <= window
-    return i == len(a) and j == len(b)
-
-
-def _jumps_until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
-    for jump in islice(jumps, start, start + _MAX_PASSED_OVER):
-        if jump.t > limit:
-            return
-        yield jump
-
-
-def _scales(reference: Trace, trace: Trace) -> Array:
-    """Return the sizes (n,) of variables in two runs; inf for round-off of zero."""
+def _relative_differences(reference: Trace, trace: Trace, times: Array) -> Array:
+    """Return the differences (m, n) of two runs in their sizes; 0 for round-off of zero."""
     scale = np.maximum(sizes(reference), sizes(trace))
     scale[scale <= _ZERO_PART * scale.max(initial=0.0)] = math.inf
-    return scale
-
-
-def _sampled_states(trace: Trace, times: Array) -> Array:
-    return sample_arcs(*at_times(trace, times)).states
-
-
-_what = attrgetter("region", "cause", "source", "target")
-
-
-def _is_zeno(jump: Jump) -> bool:
-    return jump.fired == ("zeno",)
-
-
-def _repeats(jump: Jump, end: Jump) -> bool:
-    """Return whether `jump` belongs to the Zeno sequence that ends in `end`."""
-    return jump.region == end.region and not _is_zeno(jump)
+    one, other = (sample_arcs(*at_times(run, times)).states for run in (reference, trace))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(one - other) / scale)
 
 
 def _differences(

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
-from statechart.automaton.regions import Mode, shown_margins, with_coefficients
+from statechart.automaton.regions import Margin, Mode, shown_margins, with_coefficients
 from statechart.automaton.trace import Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
@@ -159,12 +159,16 @@ class Observer:
             margins = shown_margins(m for r, state in states for m in r.build(Role(state)).margins)
             rows = self.at(trace, with_coefficients(margins), jumps, before=True)
         else:
-            mode = self.modes_of(trace)(roles)
-            margins = () if mode is None else shown_margins(mode.margins)
-            tape = self.programs.tape(with_coefficients(margins), mode)
+            margins, tape = self.margins_of(trace, roles)
             before, times = [jump.before for jump in jumps], [jump.t for jump in jumps]
             rows = tape.table(before, trace.values, times)
         return tuple(m.name for m in margins), rows
+
+    def margins_of(self, trace: Trace, roles: Roles) -> tuple[tuple[Margin, ...], Tape]:
+        """Return the shown margins of a flow, and the tape of their values, then coefficients."""
+        mode = self.modes_of(trace)(roles)
+        margins = () if mode is None else shown_margins(mode.margins)
+        return margins, self.programs.tape(with_coefficients(margins), mode)
 
     def _table(
         self, trace: Trace, expressions: tuple[sp.Expr, ...], points: sampling.Points

@@ -136,25 +136,6 @@ def _terms_of(block: TraceBuffer, arc: int, variables: int, terms: Array) -> Arr
 
 
 @kernel
-def _integrate(
-    tapes: OutputTapes, block: TraceBuffer, resolved: Array, integral: BatchResult, totals: Array
-) -> None:
-    """Add up the integrals (m, i) along the arcs of runs."""
-    variables = integral.final.shape[1]
-    for row in range(integral.spans.shape[0]):
-        for arc in range(integral.spans[row, ARCS], integral.spans[row, ARCS_END]):
-            kind = block.arcs[arc, 0]
-            tape = tapes.integrals[kind]
-            if tape[5] == 0:
-                continue
-            times, terms = _times_of(block, arc), _terms_of(block, arc, variables, resolved)
-            steps = Steps(times, terms, integral.values[row], block.starts[arc, 0])
-            sums, _ = integrate_outputs(_program(tapes, tape), steps, 0.0, times[-1])
-            for i in range(sums.shape[0]):
-                totals[row, tapes.columns[kind, i]] += sums[i]
-
-
-@kernel
 def _include(extremes: Array, value: float) -> None:
     """Widen an interval (2,), NaN at first, to a value; NaN does not count."""
     if not value >= extremes[0] and value == value:
@@ -164,51 +145,32 @@ def _include(extremes: Array, value: float) -> None:
 
 
 @kernel
-def _update_by_arcs(
+def _include_arcs(
     tapes: OutputTapes,
-    formula: int,
     block: TraceBuffer,
     resolved: Array,
-    ranges: BatchResult,
+    result: BatchResult,
     row: int,
-    result: Array,
+    values: OutputValues,
 ) -> None:
-    variables = ranges.final.shape[1]
-    for arc in range(ranges.spans[row, ARCS], ranges.spans[row, ARCS_END]):
-        tape = tapes.extremes[formula, block.arcs[arc, 0]]
-        if tape[5] == 0:
-            continue
-        terms = _terms_of(block, arc, variables, block.coefficients)
-        steps = Steps(_times_of(block, arc), terms, ranges.values[row], block.starts[arc, 0])
-        rest = _terms_of(block, arc, variables, resolved)
-        update_extremes(_program(tapes, tape), steps, rest, block.starts[arc, 1], result)
-
-
-@kernel
-def _extremes(
-    tapes: OutputTapes,
-    formula: int,
-    block: TraceBuffer,
-    resolved: Array,
-    found: BatchResult,
-    passed: NDArray[np.uint8],
-    result: Array,
-) -> None:
-    """Update minimum and maximum (m, 2) of a formula."""
-    kinds, passing, first = tapes.extremes[formula], tapes.passed[formula], 0
-    for row in range(found.spans.shape[0]):
-        parameters, started = found.values[row], found.ends[row, FIRST_MODE]
-        last, time = found.place[row, N_MODE], found.clock[row, T_HIGH]
-        _include(result[row], _value(tapes, kinds[started], found.initial[row], parameters, 0.0))
-        _update_by_arcs(tapes, formula, block, resolved, found, row, result[row])
-        begin = found.spans[row, EVENTS]
-        for event in range(begin, found.spans[row, EVENTS_END]):
-            if passed[first + event - begin]:
-                tape = passing[np.int64(block.events[event, TARGET])]
-                at = block.numbers[event, TIME]
-                _include(result[row], _value(tapes, tape, block.states[event, 1], parameters, at))
-        _include(result[row], _value(tapes, kinds[last], found.final[row], parameters, time))
-        first += number_of_events(found, row)
+    """Add the arcs of a run to its integrals and extremes."""
+    variables, parameters = result.final.shape[1], result.values[row]
+    for arc in range(result.spans[row, ARCS], result.spans[row, ARCS_END]):
+        kind, times = block.arcs[arc, 0], _times_of(block, arc)
+        terms = _terms_of(block, arc, variables, resolved)
+        tape = tapes.integrals[kind]
+        if tape[5] > 0:
+            steps = Steps(times, terms, parameters, block.starts[arc, 0])
+            sums, _ = integrate_outputs(_program(tapes, tape), steps, 0.0, times[-1])
+            for i in range(sums.shape[0]):
+                values.integrals[row, tapes.columns[kind, i]] += sums[i]
+        for formula in range(tapes.extremes.shape[0]):
+            tape = tapes.extremes[formula, kind]
+            if tape[5] > 0:
+                known = _terms_of(block, arc, variables, block.coefficients)
+                steps = Steps(times, known, parameters, block.starts[arc, 0])
+                extremes = values.extremes[formula, row]
+                update_extremes(_program(tapes, tape), steps, terms, block.starts[arc, 1], extremes)
 
 
 @kernel
@@ -227,18 +189,27 @@ def compute_outputs(
     to, run by run; the last column is true before a mode of zero duration.
     """
     _list_values(tapes, block, result, marks, values)
+    first = 0
     for row in range(result.ends.shape[0]):
-        parameters, last = result.values[row], result.place[row, N_MODE]
-        started, time = result.ends[row, FIRST_MODE], result.clock[row, T_HIGH]
+        parameters, started, last = (
+            result.values[row], result.ends[row, FIRST_MODE], result.place[row, N_MODE]
+        )  # fmt: skip
+        initial, final, end = result.initial[row], result.final[row], result.clock[row, T_HIGH]
         for i in range(tapes.start.shape[0]):
-            values.start[row, i] = _value(
-                tapes, tapes.start[i, started], result.initial[row], parameters, 0.0
-            )
+            values.start[row, i] = _value(tapes, tapes.start[i, started], initial, parameters, 0.0)
         for i in range(tapes.end.shape[0]):
-            values.end[row, i] = _value(
-                tapes, tapes.end[i, last], result.final[row], parameters, time
-            )
-    if tapes.columns.shape[1] > 0:
-        _integrate(tapes, block, resolved, result, values.integrals)
-    for formula in range(tapes.extremes.shape[0]):
-        _extremes(tapes, formula, block, resolved, result, marks[:, -1], values.extremes[formula])
+            values.end[row, i] = _value(tapes, tapes.end[i, last], final, parameters, end)
+        for i in range(tapes.extremes.shape[0]):
+            value = _value(tapes, tapes.extremes[i, started], initial, parameters, 0.0)
+            _include(values.extremes[i, row], value)
+        _include_arcs(tapes, block, resolved, result, row, values)
+        begin = result.spans[row, EVENTS]
+        for i in range(tapes.extremes.shape[0]):
+            extremes = values.extremes[i, row]
+            for event in range(begin, result.spans[row, EVENTS_END]):
+                if marks[first + event - begin, -1]:
+                    tape = tapes.passed[i, np.int64(block.events[event, TARGET])]
+                    at, state = block.numbers[event, TIME], block.states[event, 1]
+                    _include(extremes, _value(tapes, tape, state, parameters, at))
+            _include(extremes, _value(tapes, tapes.extremes[i, last], final, parameters, end))
+        first += number_of_events(result, row)

@@ -1,16 +1,18 @@
 """Declared outputs, accumulated over the arcs and jumps of runs.
 
-Formulas are compiled to tapes for every kind of mode, and evaluated by one kernel
-(`output_kernels`) on the arrays of a compiled loop, for one run or hundreds. Arcs and jumps of
-other runs are packed into such arrays, piece by piece.
+Formulas are compiled to tapes for every kind of mode. One kernel (`output_kernels`) evaluates them
+on the arrays of a compiled loop, for one run or hundreds. Arcs and jumps of other runs are packed
+into such arrays, piece by piece. `OutputAccumulator` adds up the pieces of either.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate, pairwise
+from operator import add
 from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
@@ -20,13 +22,14 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Ints
 from statechart.automaton.regions import Mode, has_happened
 from statechart.automaton.trace import Arc, Jump, Key, Trace
-from statechart.automaton.trace_store import Kind, TraceBuffer
+from statechart.automaton.trace_store import Kind, TraceBuffer, TraceStore, trace_buffer
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
 from statechart.engines.compiled_flow import TAPE
 from statechart.execution import compiled_loop as loop
 from statechart.execution.compiled_loop import Batch, BatchResult, Packed
 from statechart.execution.simulator import Simulator
 from statechart.kernels.jit import entry, is_ready
+from statechart.observation.alignment import last_resolved
 from statechart.observation.observer import FormulaLike, Observer
 from statechart.observation.output_kernels import (
     NORMAL,
@@ -49,7 +52,6 @@ from statechart.observation.sampling import (
     visible_expressions,
 )
 from statechart.observation.scales import OutputValue, RunScales, Scales
-from statechart.observation.zeno_tails import last_resolved
 
 Formula: TypeAlias = "FormulaLike | Callable[[Key], FormulaLike | None]"
 """A formula, or a function of the mode; None where undefined."""
@@ -70,40 +72,26 @@ class Outputs:
         if names is not None:
             declared = {name: output for name, output in declared.items() if name in names}
         self.names = tuple(declared)
-        self.at: list[tuple[str, Value, Moment]] = []
-        self.counts: list[tuple[str, tuple[Event, ...]]] = []
-        self.extremes: list[tuple[str, FormulaLike, int]] = []
-        self.start: dict[str, FormulaLike] = {}
-        self.end: dict[str, FormulaLike] = {}
-        self.integrals: dict[str, Integral] = {}
-        for name, output in declared.items():
-            match output:
-                case Value():
-                    moment = output.moment
-                    if moment.events:
-                        self.at.append((name, output, moment))
-                    else:
-                        values = self.end if moment.when == "end" else self.start
-                        values[name] = output.value
-                case Integral():
-                    self.integrals[name] = output
-                case Count():
-                    self.counts.append((name, output.events))
-                case Minimum():
-                    self.extremes.append((name, output.minimum, 0))
-                case Maximum():
-                    self.extremes.append((name, output.maximum, 1))
-        self._watched = (*dict.fromkeys(formula for _, formula, _ in self.extremes), *watched)
+        values = [(n, one, one.moment) for n, one in declared.items() if isinstance(one, Value)]
+        self.at = [one for one in values if one[2].events]
+        ends = [(name, one.value, moment.when) for name, one, moment in values if not moment.events]
+        self.start = {name: formula for name, formula, when in ends if when != "end"}
+        self.end = {name: formula for name, formula, when in ends if when == "end"}
+        self.integrals = {n: one for n, one in declared.items() if isinstance(one, Integral)}
+        self.counts = [(n, one.events) for n, one in declared.items() if isinstance(one, Count)]
+        self.extremes = [(n, o.minimum, 0) for n, o in declared.items() if isinstance(o, Minimum)]
+        self.extremes += [(n, o.maximum, 1) for n, o in declared.items() if isinstance(o, Maximum)]
+        self.watched = (*dict.fromkeys(formula for _, formula, _ in self.extremes), *watched)
         waits = [moment.events for _, _, moment in self.at]
         self._waits = tuple(dict.fromkeys([*waits, *(events for _, events in self.counts)]))
         # The sets of events of values and of counts, and the column of modes of zero duration.
-        self.value_waits = {self._waits.index(events) for events in waits}
+        self.value_waits = [self._waits.index(events) for events in waits]
         self.count_waits = [self._waits.index(events) for _, events in self.counts]
         self.passed = len(self._waits)
         # Data of a jump that determine its marks -> marks.
         self._marked: dict[tuple[Any, ...], tuple[int, ...]] = {}
         # By zero parameters: kinds of modes, and tapes (also by number of kinds).
-        self._kinds: dict[frozenset[int], dict[Kind, int]] = {}
+        self.kinds: dict[frozenset[int], list[Kind]] = {}
         self._verdicts: dict[frozenset[int], dict[tuple[Any, ...], tuple[int, ...]]] = {}
         self._tapes: dict[tuple[bool, frozenset[int], int], OutputTapes] = {}
         self._entry: Callable[..., None] | None = None
@@ -111,14 +99,13 @@ class Outputs:
     @cached_property
     def needs_modes(self) -> bool:
         """True if formulas use unknowns (accelerations or forces)."""
-        programs = self.observer.programs
-        formulas: list[FormulaLike] = [output.value for _, output, _ in self.at]
+        programs, formulas = self.observer.programs, [output.value for _, output, _ in self.at]
         formulas += [*self.start.values(), *self.end.values()]
         formulas += [output.integral for output in self.integrals.values()]
-        if any(map(_by_mode, self._watched)):
-            return True
-        formulas += [one for one in self._watched if not _by_mode(one)]
-        return programs.needed(programs.expressions(formulas))
+        watched = [one for one in self.watched if not _by_mode(one)]
+        return len(watched) < len(self.watched) or programs.needed(
+            programs.expressions([*formulas, *watched])
+        )
 
     def of(self, trace: Trace) -> dict[str, OutputValue]:
         """Return the outputs of a run, in the order of the declaration.
@@ -152,65 +139,17 @@ class Outputs:
             known = kind in batch.modes.compiled
             return simulator.modes.compiled(kind[1], batch.zeros).mode if known else None
 
-        key = True, batch.zeros, len(batch.kinds)
-        if key not in self._tapes:
-            self._tapes[key] = self._taped(batch.kinds, mode)
-        block, found = batch.block, batch.result
+        tapes = self.tapes(batch.zeros, batch.kinds, mode)
+        accumulator = OutputAccumulator(self, len(batch.rows))
         marks = self._marks(batch, jump_of)
-        values = self.empty_values(len(found.ends), len(marks))
-        self.compute(self._tapes[key], block, block.coefficients, found, marks, values)
-        totals = [
-            span[loop.EVENTS_END] - span[loop.EVENTS] + (end[loop.HOW] == loop.STOPPED)
-            for span, end in zip(found.spans.tolist(), found.ends.tolist(), strict=True)
-        ]
-        return self.values_by_run(values, *self.split(values, marks, totals))
+        accumulator.accumulate(tapes, batch.block, batch.block.coefficients, batch.result, marks)
+        return accumulator.by_run
 
     def compute(self, *arguments: Any) -> None:
         """Call the kernel; see `entry`."""
         if self._entry is None and is_ready(compute_outputs):
             self._entry = entry(compute_outputs, *arguments)
         (self._entry or compute_outputs)(*arguments)
-
-    def empty_values(self, runs: int, events: int) -> OutputValues:
-        """Allocate the values of runs with `events` events."""
-        return OutputValues(
-            np.empty((len(self.at), events)),
-            np.empty((runs, len(self.start))),
-            np.empty((runs, len(self.end))),
-            np.zeros((runs, len(self.integrals))),
-            np.full((len(self._watched), runs, 2), np.nan),
-        )
-
-    def split(
-        self, values: OutputValues, marks: _Marks, totals: Sequence[int]
-    ) -> tuple[list[list[list[float]]], list[list[int]]]:
-        """Return values at events and counts of events, by run; `totals` (m,) count events."""
-        runs, count = np.repeat(np.arange(len(totals)), totals), len(totals)
-        tallies = [np.bincount(runs[one > 0], minlength=count).tolist() for one in marks.T[:-1]]
-        listed = []
-        for column, (_, _, moment) in zip(values.listed.tolist(), self.at, strict=True):
-            ends = accumulate(tallies[self._waits.index(moment.events)], initial=0)
-            listed.append([column[a:b] for a, b in pairwise(ends)])
-        counted = [tallies[wait] for wait in self.count_waits]
-        return listed, counted
-
-    def values_by_run(
-        self, values: OutputValues, listed: Sequence[list[list[float]]], counted: Any
-    ) -> dict[str, list[OutputValue]]:
-        """Return the outputs as lists over the runs."""
-        found: dict[str, list[OutputValue]] = {}
-        for (name, _, moment), runs in zip(self.at, listed, strict=True):
-            chosen = [run[_selected_events(moment)] for run in runs]
-            found[name] = (
-                [*chosen] if moment.several else [run[0] if run else None for run in chosen]
-            )
-        found |= {name: column for (name, _), column in zip(self.counts, counted, strict=True)}
-        found |= zip(self.start, values.start.T.tolist(), strict=True)
-        found |= zip(self.end, values.end.T.tolist(), strict=True)
-        found |= zip(self.integrals, values.integrals.T.tolist(), strict=True)
-        for name, formula, which in self.extremes:
-            found[name] = values.extremes[self._watched.index(formula), :, which].tolist()
-        return found
 
     def marks_of(self, jump: Jump) -> tuple[int, ...]:
         """Return 1 for each set of events that a jump belongs to, else 0."""
@@ -238,41 +177,35 @@ class Outputs:
         first, last = spans[0][loop.EVENTS], spans[-1][loop.EVENTS_END]
         events, numbers = block.events[first:last].tolist(), block.numbers[first:last].tolist()
         for row, (span, end) in enumerate(zip(spans, ends, strict=True)):
-            flowed = (
-                set(block.arcs[span[loop.ARCS] : span[loop.ARCS_END], 1].tolist())
-                if self._watched
-                else ()
-            )
-            for j in range(span[loop.EVENTS_END] - span[loop.EVENTS]):
-                place = span[loop.EVENTS] + j - first
-                source, target, _, *codes = events[place]
-                key = (source, target, *codes, any(numbers[place][NORMAL:]))
-                verdict = verdicts.get(key)
-                if verdict is None:
-                    verdict = verdicts[key] = self.marks_of(jump_of(row, j))
-                marks.append((*verdict, j + 1 not in flowed))
+            flows = slice(span[loop.ARCS], span[loop.ARCS_END])
+            flowed = {*block.arcs[flows, 1].tolist()} if self.watched else ()
+            own = slice(span[loop.EVENTS] - first, span[loop.EVENTS_END] - first)
+            for j, (event, number) in enumerate(zip(events[own], numbers[own], strict=True)):
+                source, target, _, *codes = event
+                key = source, target, *codes, any(number[NORMAL:])
+                if key not in verdicts:
+                    verdicts[key] = self.marks_of(jump_of(row, j))
+                marks.append((*verdicts[key], j + 1 not in flowed))
             if end[loop.HOW] == loop.STOPPED:
                 kind = int(found.place[row, loop.N_MODE])
-                verdict = verdicts.get((kind,))
-                if verdict is None:
+                if (kind,) not in verdicts:
                     mode, state = batch.kinds[kind][0], found.final[row]
                     stop = Jump(0.0, 0, "", "stop", mode, mode, state, state)
-                    verdict = verdicts[kind,] = self.marks_of(stop)
-                marks.append((*verdict, 0))
-        return np.array(marks, np.uint8).reshape(len(marks), len(self._waits) + 1)
+                    verdicts[kind,] = self.marks_of(stop)
+                marks.append((*verdicts[kind,], 0))
+        return np.array(marks, np.uint8).reshape(len(marks), self.passed + 1)
 
-    def numbers_of(self, zeros: frozenset[int]) -> dict[Kind, int]:
-        """Return the growing kinds of modes of runs with these zero parameters."""
-        return self._kinds.setdefault(zeros, {})
-
-    def tapes_of(
-        self, zeros: frozenset[int], mode_of: Callable[[Kind], Mode | None], *, solved: bool
+    def tapes(
+        self,
+        zeros: frozenset[int],
+        kinds: Sequence[Kind],
+        mode_of: Callable[[Kind], Mode | None],
+        solved: bool | None = None,
     ) -> OutputTapes:
-        """Return the tapes of the known kinds of modes; see `_taped`."""
-        kinds = tuple(self.numbers_of(zeros))
-        key = False, zeros, len(kinds)
+        """Return the cached tapes of kinds of modes; see `_taped`. `solved`: None for batches."""
+        key = solved is None, zeros, len(kinds)
         if key not in self._tapes:
-            self._tapes[key] = self._taped(kinds, mode_of, solved=solved)
+            self._tapes[key] = self._taped(kinds, mode_of, solved=bool(solved))
         return self._tapes[key]
 
     def _taped(
@@ -311,7 +244,7 @@ class Outputs:
 
         at = separate_tapes([output.value for _, output, _ in self.at])[0]
         start, end = (separate_tapes([*ends.values()])[0] for ends in (self.start, self.end))
-        watched, passed = separate_tapes(self._watched)
+        watched, passed = separate_tapes(self.watched)
         integrals = [output.integral for output in self.integrals.values()]
         during = [tuple(output.during.items()) for output in self.integrals.values()]
         made, _, columns = tapes(integrals, tuple(during))
@@ -347,30 +280,21 @@ class Outputs:
         its formula at starts of steps up to its moment, since a return to zero is round-off.
         """
         run, found = RunScales(self.observer, trace), dict[str, OutputValue]()
+        formulas = {name: output.value for name, output, _ in self.at}
         for name, output, moment in self.at:
             largest = self._largest(trace, output.value)
             jumps = self._happened(trace, moment.events)
-            chosen = {jump.j for jump in jumps[_selected_events(moment)]}
             sizes = [
-                run.of(output.value, size)
-                for jump, size in zip(trace.jumps, largest[1:-1].tolist(), strict=True)
-                if jump.j in chosen
+                run.of(output.value, largest.item(jump.j + 1))
+                for jump in jumps[_selected_events(moment)]
             ]
             found[name] = sizes if moment.several else sizes[0] if sizes else None
-        for name, formula in self.end.items():
-            last = abs(float(self.observer.final(trace, [formula])[0]))
-            found[name] = run.of(formula, float(np.fmax(self._largest(trace, formula)[-1], last)))
-        for name, formula, _ in self.extremes:
-            found[name] = run.of(formula, float(self._largest(trace, formula)[-1]))
-        for name, integral in self.integrals.items():
-            size = float(self._largest(trace, integral.integral)[-1])
-            found[name] = trace.t_end * run.of(integral.integral, size)
-        formulas = {
-            **{name: output.value for name, output, _ in self.at},
-            **self.end,
-            **{name: formula for name, formula, _ in self.extremes},
-        }
-        zeros = {name: run.zero(formula) for name, formula in formulas.items()}
+        whole = {**self.end, **{name: formula for name, formula, _ in self.extremes}}
+        integrals = {name: output.integral for name, output in self.integrals.items()}
+        for name, formula in {**whole, **integrals}.items():
+            size = run.of(formula, self._largest(trace, formula).item(-1))
+            found[name] = trace.t_end * size if name in integrals else size
+        zeros = {name: run.zero(formula) for name, formula in {**formulas, **whole}.items()}
         return Scales(run.variables, found, run.zeros, zeros)
 
     def _largest(self, trace: Trace, formula: str | int | float) -> NDArray[np.float64]:
@@ -396,19 +320,68 @@ class Outputs:
 
 
 class OutputAccumulator:
-    """Accumulates the outputs of one run over its pieces; the result does not depend on them.
+    """Accumulates the outputs of runs over pieces; the result does not depend on the pieces.
 
-    Implements `statechart.automaton.time_stepper.OutputStream`.
+    A whole run is one piece, and so are the runs of a batch. Pieces of one run are traces, as
+    `statechart.automaton.time_stepper.OutputStream` gets them.
     """
 
-    def __init__(self, outputs: Outputs, *, started: bool = False) -> None:
-        self._outputs, self._observer = outputs, outputs.observer
-        self._listed: list[list[float]] = [[] for _ in outputs.at]
-        self._counted = [0] * len(outputs.counts)
-        self.values = outputs.empty_values(1, 0)
+    def __init__(self, outputs: Outputs, runs: int = 1, *, started: bool = False) -> None:
+        self._outputs, self._observer, self._runs = outputs, outputs.observer, runs
+        self._listed: list[list[list[float]]] = [[[] for _ in range(runs)] for _ in outputs.at]
+        self._counted = [[0] * runs for _ in outputs.counts]
+        self._start = np.empty((runs, len(outputs.start)))
+        self._end = np.empty((runs, len(outputs.end)))
+        self._integrals = np.zeros((runs, len(outputs.integrals)))
+        self.extremes = np.full((len(outputs.watched), runs, 2), math.nan)
         self.started = started
         self._last: tuple[Arc, ...] = ()
         self._waiting: list[Jump] = []
+
+    def accumulate(
+        self,
+        tapes: OutputTapes,
+        block: TraceBuffer,
+        resolved: Array,
+        result: BatchResult,
+        marks: _Marks,
+    ) -> None:
+        """Process arcs and events of all runs; see `compute_outputs`."""
+        outputs, count = self._outputs, self._runs
+        listed = np.empty((len(outputs.at), len(marks)))
+        start = np.empty_like(self._start) if self.started else self._start
+        values = OutputValues(listed, start, self._end, self._integrals, self.extremes)
+        outputs.compute(tapes, block, resolved, result, marks, values)
+        self.started = True
+        totals = [
+            span[loop.EVENTS_END] - span[loop.EVENTS] + (end[loop.HOW] == loop.STOPPED)
+            for span, end in zip(result.spans.tolist(), result.ends.tolist(), strict=True)
+        ]
+        runs = np.repeat(np.arange(count), totals)
+        tallies = [np.bincount(runs[one > 0], minlength=count).tolist() for one in marks.T[:-1]]
+        for place, wait in enumerate(outputs.count_waits):
+            self._counted[place] = [*map(add, self._counted[place], tallies[wait])]
+        for place, column in enumerate(listed.tolist()):
+            known, chosen = self._listed[place], _selected_events(outputs.at[place][2])
+            ends = pairwise(accumulate(tallies[outputs.value_waits[place]], initial=0))
+            self._listed[place] = [
+                (one + column[first:end])[chosen]
+                for one, (first, end) in zip(known, ends, strict=True)
+            ]
+
+    @property
+    def by_run(self) -> dict[str, list[OutputValue]]:
+        """The outputs, as lists over the runs."""
+        outputs, found = self._outputs, dict[str, Any]()
+        for (name, _, moment), runs in zip(outputs.at, self._listed, strict=True):
+            found[name] = [*runs] if moment.several else [run[0] if run else None for run in runs]
+        found |= zip([name for name, _ in outputs.counts], self._counted, strict=True)
+        found |= zip(outputs.start, self._start.T.tolist(), strict=True)
+        found |= zip(outputs.end, self._end.T.tolist(), strict=True)
+        found |= zip(outputs.integrals, self._integrals.T.tolist(), strict=True)
+        for name, formula, which in outputs.extremes:
+            found[name] = self.extremes[outputs.watched.index(formula), :, which].tolist()
+        return found
 
     @property
     def events(self) -> bool:
@@ -447,100 +420,59 @@ class OutputAccumulator:
     @property
     def result(self) -> dict[str, OutputValue]:
         """The outputs, in the order of the declaration."""
-        outputs = self._outputs.values_by_run(
-            self.values, [[output] for output in self._listed], [[count] for count in self._counted]
-        )
-        return {name: outputs[name][0] for name in self._outputs.names}
+        found = self.by_run
+        return {name: found[name][0] for name in self._outputs.names}
 
     def take(
         self, trace: Trace, arcs: Sequence[Arc], jumps: Sequence[Jump], *, ended: bool
     ) -> None:
         """Process arcs and adjacent jumps of a trace, from the start of the run on."""
-        outputs, before = self._outputs, self.values
-        left = (
-            {jump.j for jump in instantaneous_modes(trace)} if len(before.extremes) else set[int]()
-        )
-        every = [(*outputs.marks_of(jump), jump.j in left) for jump in jumps]
-        for place, wait in enumerate(outputs.count_waits):
-            self._counted[place] += sum([own[wait] for own in every])
-        needed = (*outputs.value_waits, outputs.passed)
-        # Jumps at which values are needed.
-        chosen = [k for k, own in enumerate(every) if any(own[wait] for wait in needed)]
-        marks = np.array([every[k] for k in chosen], np.uint8)
-        marks = marks.reshape(len(chosen), outputs.passed + 1)
-        if not (outputs.integrals or len(before.extremes)):
-            arcs = ()
-        values = outputs.empty_values(1, len(marks))
-        values = values._replace(integrals=before.integrals, extremes=before.extremes)
-        packed = self._packed(trace, arcs, [jumps[k] for k in chosen], ended)
-        outputs.compute(*packed, marks, values)
-        listed, _ = outputs.split(values, marks, [len(marks)])
-        for place, ((new,), (_, _, moment)) in enumerate(zip(listed, outputs.at, strict=True)):
-            self._listed[place] = (self._listed[place] + new)[_selected_events(moment)]
-        self.values = values._replace(start=before.start) if self.started else values
-        self.started = True
-
-    def _packed(
-        self, trace: Trace, arcs: Sequence[Arc], jumps: Sequence[Jump], ended: bool
-    ) -> tuple[OutputTapes, TraceBuffer, Array, BatchResult]:
-        """Return the arguments of the kernel except marks and values."""
         outputs, width = self._outputs, len(self._observer.programs.solved)
-        zeros = trace.zeros
-        numbers, solved = outputs.numbers_of(zeros), outputs.needs_modes and trace.step is not None
-
-        def number(mode: Any, roles: Any) -> int:
-            kind = mode, roles if outputs.needs_modes and not solved else ()
-            return numbers.setdefault(kind, len(numbers))
-
+        left = {jump.j for jump in instantaneous_modes(trace)} if outputs.watched else set[int]()
+        every = [(*outputs.marks_of(jump), jump.j in left) for jump in jumps]
+        marks = np.array(every, np.uint8).reshape(len(every), outputs.passed + 1)
+        needed = marks[:, [*outputs.value_waits, outputs.passed]].any(axis=1)
+        # Counts need no values.
+        for counted, wait in zip(self._counted, outputs.count_waits, strict=True):
+            counted[0] += int(np.count_nonzero(marks[~needed, wait]))
+        jumps = [jumps[k] for k in np.flatnonzero(needed).tolist()]
+        if not (outputs.integrals or outputs.watched):
+            arcs = ()
+        solved = outputs.needs_modes and trace.step is not None
+        by_roles = outputs.needs_modes and not solved
         sides = [side_of(jump, before) for jump in jumps for before in (True, False)]
         instants: list[Endpoint] = [start_of(trace), *sides, end_of(trace)]
         points = at_endpoints(trace, instants, width)
-        states = points.states
-        if solved and (unknowns := points.unknowns()) is not None:
-            states = np.hstack([states, unknowns])
-        roles = points.roles() if outputs.needs_modes and not solved else [()] * len(instants)
-        kinds = [number(one.mode, own) for one, own in zip(instants, roles, strict=True)]
-        terms = [arc.coefficients for arc in arcs]
+        states, terms = points.states, [arc.coefficients for arc in arcs]
         if solved:
+            unknowns = points.unknowns()
+            assert unknowns is not None
+            states = np.hstack([states, unknowns])
             terms = [np.pad(one, ((0, 0), (0, width), (0, 0))) for one in terms]
             for arc, one in zip(arcs, terms, strict=True):
                 one[:, len(trace.variables) :, 0] = arc.solved
-        sizes = [(len(arc.times), one.size) for arc, one in zip(arcs, terms, strict=True)]
-        count, coefficients = len(jumps), np.concatenate([np.empty(0), *map(np.ravel, terms)])
-        block = TraceBuffer(
-            np.array(
-                [
-                    (number(arc.mode, arc.roles), arc.j, *one.shape[::2])
-                    for arc, one in zip(arcs, terms, strict=True)
-                ],
-                np.int32,
-            ).reshape(-1, 4),
-            np.cumsum([(0, 0), *sizes], axis=0)[:-1],
-            np.array([arc.start for arc in arcs], np.float64).reshape(-1, 2),
-            np.concatenate([np.empty(0), *(arc.times for arc in arcs)]),
-            coefficients,
-            np.zeros((count, 6), np.int32),
-            np.zeros((count, 6)),
-            states[1:-1].reshape(count, 2, states.shape[1]),
-            np.zeros(4, np.int64),
-        )
-        block.events[:, [SOURCE, TARGET]] = np.reshape(kinds[1:-1], (count, 2))
+        kinds, variables = outputs.kinds.setdefault(trace.zeros, []), states.shape[1]
+        times, sizes = sum([len(arc.times) for arc in arcs]), sum([one.size for one in terms])
+        block = trace_buffer(variables, (len(arcs), times, sizes, len(jumps)))
+        store = TraceStore(variables, kinds, block, None)
+        for arc, one in zip(arcs, terms, strict=True):
+            store.add_arc(arc.mode, arc.roles if by_roles else (), arc.start, arc.times, one)
+        roles = points.roles() if by_roles else [()] * len(instants)
+        places = [store.kind(one.mode, own) for one, own in zip(instants, roles, strict=True)]
+        block.events[:, [SOURCE, TARGET]] = np.reshape(places[1:-1], (len(jumps), 2))
         block.numbers[:, TIME] = points.times[1:-1:2]
-        found = BatchResult.empty(1, len(trace.parameters), states.shape[1], 0)
+        block.states[:] = states[1:-1].reshape(block.states.shape)
+        found = BatchResult.empty(1, len(trace.parameters), variables, 0)
         found.values[0], found.initial[0], found.final[0] = trace.values, states[0], states[-1]
-        found.clock[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
-        tapes = outputs.tapes_of(zeros, self._mode_of(trace), solved=solved)
+        found.clock[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, len(jumps))
         # The last kind has no formulas, so that other pieces add nothing.
-        found.ends[0, loop.FIRST_MODE] = len(numbers) if self.started else kinds[0]
-        found.place[0, loop.N_MODE] = kinds[-1] if ended else len(numbers)
-        resolved = np.nan_to_num(coefficients) if solved else coefficients
-        return tapes, block, resolved, found
-
-    def _mode_of(self, trace: Trace) -> Callable[[Kind], Mode | None]:
-        if isinstance(self._observer.simulator, Simulator):
-            look_up = self._observer.modes_of(trace)
-            return lambda kind: look_up(kind[1])
-        return lambda _: None
+        found.ends[0, loop.FIRST_MODE] = len(kinds) if self.started else places[0]
+        found.place[0, loop.N_MODE] = places[-1] if ended else len(kinds)
+        tapes = outputs.tapes(
+            trace.zeros, kinds, lambda kind: self._observer.modes_of(trace)(kind[1]), solved
+        )
+        resolved = np.nan_to_num(block.coefficients) if solved else block.coefficients
+        self.accumulate(tapes, block, resolved, found, marks[needed])
 
 
 def _selected_events(moment: Moment) -> slice:
@@ -580,7 +512,7 @@ def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float,
         Outputs(observer, (), [finite if _by_mode(formula) else formula])
     )
     accumulator.take(trace, trace.arcs, trace.jumps, ended=True)
-    result = [*infinite, *accumulator.values.extremes.ravel().tolist()]
+    result = [*infinite, *accumulator.extremes.ravel().tolist()]
     return np.fmin.reduce(result).item(), np.fmax.reduce(result).item()
 
 
@@ -590,7 +522,7 @@ def extremes_along(
     """Return minima and maxima (f, 2) of formulas along an arc."""
     accumulator = OutputAccumulator(Outputs(observer, (), formulas), started=True)
     accumulator.take(trace, [arc], (), ended=False)
-    return np.asarray(accumulator.values.extremes[:, 0])
+    return accumulator.extremes[:, 0]
 
 
 def _by_mode(formula: Formula) -> TypeGuard[Callable[[Key], FormulaLike | None]]:

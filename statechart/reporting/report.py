@@ -16,7 +16,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
-from statechart.automaton.regions import Invariant, shown_margins, with_coefficients
+from statechart.automaton.regions import Invariant
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
@@ -174,16 +174,12 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
     """
     if trace.margins is not None:
         return dict(sorted(trace.margins.items()))
-    simulator = observer.simulator
-    assert isinstance(simulator, Simulator)
     least: dict[str, float] = {}
     flows: dict[Roles, list[Arc]] = {}
     for arc in trace.arcs:
         flows.setdefault(arc.roles, []).append(arc)
     for roles, arcs in flows.items():
-        compiled = simulator.modes.compiled(roles, trace.zeros)
-        shown = shown_margins(compiled.mode.margins)
-        tape = observer.programs.tape(with_coefficients(shown), compiled.mode)
+        shown, tape = observer.margins_of(trace, roles)
         found, coefficients = np.split(lowest(tape, arcs, trace.values), 2)
         for margin, value, coefficient in zip(
             shown, found.tolist(), coefficients.tolist(), strict=True

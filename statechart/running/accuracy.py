@@ -24,12 +24,12 @@ from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.execution.flow import STIFF
 from statechart.execution.perturbation import Start
 from statechart.execution.time_stepping import SteppingSimulator
+from statechart.observation.alignment import pair_jumps
 from statechart.observation.difference import (
     Difference,
     compare,
     distance,
     mode_disagreement,
-    pair_jumps,
 )
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers

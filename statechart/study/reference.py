@@ -18,7 +18,7 @@ from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.execution.outcome import error_of
 from statechart.execution.perturbation import with_doubled_tolerances, with_shifted_start
 from statechart.loading.kind import load_entry
-from statechart.observation.difference import distance, pair_jumps, separation_time
+from statechart.observation.difference import distance, separation_time
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.accuracy import BRIEF, EvaluatedRun
@@ -62,14 +62,10 @@ class Run(EvaluatedRun):
         before = self.observer.at(self.trace, ["energy"], jumps, before=True)[:, 0]
         return np.append(before, self.observer.final(self.trace, ["energy"]))
 
-    def separation_from(self, other: Run) -> float | None:
-        """Return the time of separation of another run from this one, see `separation_time`."""
-        return separation_time(self.trace, other.trace, brief=self.brief(other))
-
 
 @dataclass(frozen=True)
-class _Separation:
-    """Time of separation of two runs, and errors."""
+class Separation:
+    """Time of separation of two runs (see `separation_time`), and errors."""
 
     parted: float | None
     errors: Errors
@@ -79,10 +75,10 @@ class _Separation:
         """The largest error, inf for separated runs."""
         return math.inf if self.parted is not None else self.errors.largest or 0.0
 
-    def worse(self, other: _Separation) -> _Separation:
+    def worse(self, other: Separation) -> Separation:
         """Return the earlier separation, else the larger errors."""
         if self.parted is None and other.parted is None:
-            return _Separation(None, self.errors.worse(other.errors))
+            return Separation(None, self.errors.worse(other.errors))
         return min(self, other, key=lambda one: math.inf if one.parted is None else one.parted)
 
 
@@ -90,7 +86,7 @@ class _Separation:
 class _Pair:
     reference: Run
     check: Run
-    separation: _Separation
+    separation: Separation
 
     @property
     def closeness(self) -> tuple[float, float]:
@@ -179,8 +175,7 @@ class References:
         return Run.of(observer, trace, setting)
 
     def _compare_pair(self, reference: Run, check: Run) -> _Pair:
-        errors, _ = errors_of(self.model, reference, check)
-        return _Pair(reference, check, _Separation(reference.separation_from(check), errors))
+        return _Pair(reference, check, separation_of(self.model, reference, check)[0])
 
     def _best_of_three(self, runs: Sequence[Run]) -> tuple[_Pair, Third]:
         """Return the two of three runs that agree best, and the verdict on the third.
@@ -213,13 +208,13 @@ class References:
             best = _Pair(best.reference, best.check, best.separation.worse(off))
         return best, verdict
 
-    def _perturbed(self, run: Run, part: float) -> _Separation:
+    def _perturbed(self, run: Run, part: float) -> Separation:
         """Return the largest separation of a run from itself with a perturbed initial state.
 
         Perturbations are up, down, and alternating, which separates coincident events.
         """
         alternating: Array = (-1.0) ** np.arange(len(run.trace.initial), dtype=np.float64)
-        found: _Separation | None = None
+        found: Separation | None = None
         for signs in (np.ones(len(alternating)), alternating):
             for sign in (1.0, -1.0):
                 off = with_shifted_start(self.automaton, part, sign * signs)
@@ -231,7 +226,7 @@ class References:
                 found = separation if found is None else found.worse(separation)
                 if found.parted is not None:
                     return found
-        return found or _Separation(None, Errors(state=0.0))
+        return found or Separation(None, Errors(state=0.0))
 
 
 def _method(setting: Setting) -> str | None:
@@ -243,12 +238,12 @@ def _tolerance(run: Run) -> float:
     return run.setting.tolerance or (run.setting.step or 0.0) / run.trace.t_end
 
 
-def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, float | None]:
-    """Return the errors of a run, and the time of its first mode other than the reference's."""
-    found = reference.difference(run, reference.scales, brief=reference.brief(run))
-    pairs, _ = pair_jumps(reference.trace, run.trace, brief=reference.brief(run))
-    ours = run.energies([other for _, other in pairs])
-    theirs = reference.energies([one for one, _ in pairs])
+def separation_of(model: Declaration, reference: Run, run: Run) -> tuple[Separation, float | None]:
+    """Return the separation of a run, and the time of its first mode other than the reference's."""
+    brief = reference.brief(run)
+    found = reference.difference(run, reference.scales, brief=brief)
+    ours = run.energies([other for _, other in found.pairs])
+    theirs = reference.energies([one for one, _ in found.pairs])
     energy = None
     if ours is not None and theirs is not None and found.state < math.inf:
         size = float(np.abs(theirs).max()) or 1.0
@@ -265,4 +260,5 @@ def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, flo
         energy=energy,
         violations=dict(violated),
     )
-    return errors, found.diverged
+    parted = separation_time(reference.trace, run.trace, brief=brief)
+    return Separation(parted, errors), found.diverged

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from base64 import b64encode
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 from typing import Any, ClassVar
@@ -11,7 +12,7 @@ from typing import Any, ClassVar
 from pydantic import ValidationError
 
 from statechart.documents.files import new_folder, write_atomic, writing
-from statechart.errors import DeclarationError, StatechartError
+from statechart.errors import DeclarationError
 from statechart.study.measurements import Measurements
 from statechart.study.text import describe_study
 from statechart.tabular import write_plain
@@ -76,13 +77,9 @@ def load(folder: Path | str) -> Study | None:
     """Return the study in a folder, or None."""
     path = Path(folder) / NAME
     try:
-        data = path.read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
+        with writing(path, verb="read"), suppress(FileNotFoundError, NotADirectoryError):
+            return Study.model_validate_json(path.read_bytes())
         return None
-    except OSError as error:
-        raise StatechartError(f"cannot read {path}: {error.strerror or error}") from error
-    try:
-        return Study.model_validate_json(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(map(str, first["loc"])) or "the file"

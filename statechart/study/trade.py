@@ -24,7 +24,7 @@ from statechart.observation.observers import Observers
 from statechart.running.accuracy import RunEstimate, RunPlanner
 from statechart.running.runner import Runner
 from statechart.study.measurements import Errors, Point, fingerprint
-from statechart.study.reference import References, Run, errors_of
+from statechart.study.reference import References, Run, separation_of
 from statechart.study.startup_cost import FreshProcess
 from statechart.study.study import Study, load, save
 
@@ -144,12 +144,11 @@ class Bench:
     ) -> tuple[Errors, float | None, float | None]:
         """Return the largest errors, and the earliest times of other modes and of separation."""
         runs = [Run.of(one.observer, one.trace, setting) for one in found]
-        pairs = [errors_of(self.model, reference, run) for run in runs]
-        left = [reference.separation_from(run) for run in runs]
+        pairs = [separation_of(self.model, reference, run) for run in runs]
         return (
-            reduce(Errors.worse, [errors for errors, _ in pairs]),
+            reduce(Errors.worse, [one.errors for one, _ in pairs]),
             min((t for _, t in pairs if t is not None), default=None),
-            min((t for t in left if t is not None), default=None),
+            min((one.parted for one, _ in pairs if one.parted is not None), default=None),
         )
 
 

@@ -43,6 +43,8 @@ OUTCOMES = {
     FAULTY: "An internal error ended the run; please report it.",
 }
 """Outcome -> sentence."""
+SUCCEEDED = tuple(outcome.name for outcome in Outcome if outcome.succeeded)
+"""Outcomes of cells that reached a declared end."""
 
 _MAX_STRUCTURES, _MAX_TEXTS = 8, 4096  # cached runners and texts of sequences
 _MAX_BATCH = 256  # cells of one compiled call

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Bools
-from statechart.automaton.trace import Outcome
 from statechart.errors import DeclarationError
 from statechart.palette import LINES
 from statechart.reporting.figure import STYLE, frame, frame_bands, set_title
+from statechart.sweeps.cells import SUCCEEDED
 from statechart.sweeps.mode_sequences import shorten_alike
 from statechart.sweeps.plan import Plan
 
@@ -40,7 +40,6 @@ _FEW, _DENSER = 7, 3
 _WIDTH = 7.6  # inches
 _WIDE = 5.0  # ratio of the largest to the least value of a logarithmic axis
 _LETTER, _HANDLE = 0.058, 0.6  # of a legend; widths in inches
-_SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 
 def check_drawable(plan: Plan) -> None:
@@ -90,7 +89,7 @@ class _Cells:
         outcome = data["outcome"].to_numpy().ravel().astype(object)
         self.modes: NDArray[np.int32] = data["modes"].to_numpy().ravel()
         texts = data["sequence"].to_numpy()
-        self.good: Bools = np.isin(outcome.astype(str), _SUCCEEDED)
+        self.good: Bools = np.isin(outcome.astype(str), SUCCEEDED)
         self.done: Bools = outcome != ""
         codes, counts = np.unique(self.modes[self.good], return_counts=True)
         order = codes[np.argsort(-counts, kind="stable")]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import unit_suffix
+from statechart.sweeps.cells import SUCCEEDED
 from statechart.sweeps.mode_sequences import shorten_alike
 from statechart.sweeps.plan import Plan
 from statechart.tabular import (
@@ -27,7 +27,6 @@ if TYPE_CHECKING:  # importing xarray takes half a second
     import xarray as xr
 
 _LISTED = 12  # sequences of modes
-_SUCCEEDED = frozenset(outcome.name for outcome in Outcome if outcome.succeeded)
 
 
 def to_dict(plan: Plan, data: xr.Dataset, *, where: str | None) -> dict[str, Any]:
@@ -69,7 +68,7 @@ def to_dict(plan: Plan, data: xr.Dataset, *, where: str | None) -> dict[str, Any
             {
                 "outcome": outcome,
                 "cells": count,
-                "succeeded": outcome in _SUCCEEDED,
+                "succeeded": outcome in SUCCEEDED,
                 "example": str(messages[outcomes == outcome][0]),
             }
             for outcome, count in ended.most_common()

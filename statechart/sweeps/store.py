@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
 from statechart.documents.declaration import TIME
-from statechart.documents.files import new_folder
+from statechart.documents.files import new_folder, writing
 from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps.cells import OUTCOMES, CellBlock
 from statechart.sweeps.plan import Plan, Slices, Tile
@@ -77,23 +77,21 @@ def lock_folder(path: Path) -> Iterator[Callable[[], None]]:
         return
     file = path / _LOCK
     with ExitStack() as stack:
-        try:
+        with writing(path):
             stack.enter_context(new_folder(path))
             lock = FileLock(file)
             try:
                 lock.acquire(timeout=0)
+            except Timeout:
+                raise DeclarationError(
+                    f"another process is writing {path}",
+                    advice="wait until it has ended, or name another store",
+                ) from None
             except OSError as error:
                 if error.errno not in _NO_LOCKS:
                     raise
             file.touch()
             began = file.stat()
-        except Timeout:
-            raise DeclarationError(
-                f"another process is writing {path}",
-                advice="wait until it has ended, or name another store",
-            ) from None
-        except OSError as error:
-            raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
 
         def is_there() -> bool:
             try:
@@ -222,10 +220,8 @@ class Store:
         """Return the sweep as a lazily loaded data set."""
         import xarray as xr
 
-        try:
+        with writing(str(self._path), verb="read"):
             return xr.open_zarr(self._group.store, chunks=None)
-        except OSError as error:
-            raise self._problem("read", error) from error
 
     def loaded(self) -> xr.Dataset:
         """Return the sweep in memory; raise `DeclarationError` if a part is damaged."""
@@ -409,11 +405,12 @@ class Store:
     @contextmanager
     def _explained(self) -> Iterator[None]:
         self._check_lock()
-        try:
-            yield
-        except OSError as error:
-            self._check_lock()
-            raise self._problem("write", error) from error
+        with writing(str(self._path)):
+            try:
+                yield
+            except OSError:
+                self._check_lock()
+                raise
 
     @contextmanager
     def _whole(self, name: str) -> Iterator[None]:
@@ -427,9 +424,6 @@ class Store:
         return DeclarationError(
             f"{self._path} is damaged: {name} {words}", advice="remove it, and begin the sweep anew"
         )
-
-    def _problem(self, verb: str, error: OSError) -> StatechartError:
-        return StatechartError(f"cannot {verb} {self._path}: {error.strerror or error}")
 
 
 def _sweep_variables(plan: Plan) -> list[str]:

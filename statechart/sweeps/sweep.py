@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future
@@ -209,26 +208,20 @@ class _Progress:
     def __init__(self, total: int, done: int) -> None:
         self._total, self._done, self._said = total, done, done
         self._shown, self._worked = time.monotonic(), working_time()
-        self._bar = progress.Bar(total) if progress.possible() else None
+        self._bar = progress.Bar(total)
+        self.close = self._bar.close
 
     def advance(self, count: int) -> None:
         self._done += count
         now, worked = time.monotonic(), working_time()
-        if self._bar is None and now - self._shown < _PROGRESS_INTERVAL:
+        if not self._bar.drawn and now - self._shown < _PROGRESS_INTERVAL:
             return
         rate = (self._done - self._said) / max(worked - self._worked, 1e-9)
         left = timedelta(seconds=round((self._total - self._done) / rate))
         cells = f"{self._done} of {pluralise(self._total, 'cell')}"
-        words = f"{cells}, {rate:.3g} a second, {left} left"
-        if self._bar is not None:
-            self._bar.show(self._done, words)
-            return
-        self._shown, self._worked, self._said = now, worked, self._done
-        print(words, file=sys.stderr, flush=True)  # noqa: T201
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
+        self._bar.show(self._done, f"{cells}, {rate:.3g} a second, {left} left")
+        if not self._bar.drawn:
+            self._shown, self._worked, self._said = now, worked, self._done
 
 
 def _ended(work: _Work, executor: Executor | None) -> str:

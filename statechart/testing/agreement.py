@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, pairwise, zip_longest
+from itertools import accumulate, islice, pairwise, zip_longest
 from typing import NoReturn
 
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Jump, Key, Trace
-from statechart.observation.zeno_tails import drop_summed
+from statechart.automaton.trace import Jump, Key, Trace, sizes
+from statechart.observation.alignment import Event, resolved_events
 
 NUDGE = 1e-7
 """Relative perturbation of parameters; above the errors of the runs."""
@@ -114,54 +114,76 @@ def _compare(
     loosened: Callable[[], Trace] | None,
 ) -> None:
     """Compare runs with relative errors `known` of states at events, and impulse `residual`."""
-    sequences = [EventSequence.of(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
-    sequences[0] = sequences[0].rounded(reference, sensitivity.conditions, known)
-    sequences.append(EventSequence.of(other, reading or Reading()))
+    runs = [reference, *sensitivity.nudged]
     if until is not None:
-        sequences = [*(sequence.shortened(*until) for sequence in sequences[:-1]), sequences[-1]]
-    first, *near, second = without_unresolved(sequences)
+        runs = [_shortened(run, *until) for run in runs]
+    runs.append(other if reading is None else reading.apply(other))
+    scales = np.concatenate([[reference.t_end], *[sizes(reference)] * 2])
+    rounded, rates = _rounded(reference, sensitivity.conditions, known), _rates(reference)
+    first, *near, second = resolved_events([run.jumps for run in runs])
     error = bare = _STEP_ERRORS * (_error(reference) + _error(other) + residual)
-    floor = np.zeros(len(first.end))
+    floor = np.zeros(len(scales))
     traces = (reference,) if reading else (reference, other)
     # The gap tolerance of time stepping is penetration, not a projection.
     kinds = [("speed",) if t.step is not None else ("gap", "speed") for t in traces]
     floor[1:] = sum(
         t.tolerances.get(kind, 0.0) for t, of in zip(traces, kinds, strict=True) for kind in of
     )
-    for i, (mine, its) in enumerate(zip_longest(first.events, second.events)):
+    for i, (mine, its) in enumerate(zip_longest(first, second)):
         if mine and its:
-            error = bare + mine.rounded
-        if not (mine and its and mine.what == its.what):
+            error = bare + rounded[mine.jump.j]
+        if not (mine and its and mine.matches(its)):
             _raise_if_tolerances_decide(loosened, other, i, mine or its)
-            _raise_difference(first, second, near, i, error, residual, (reference, other))
-        shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
-        allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
+            both, ends = (first, second), (runs[0].t_end, runs[-1].t_end)
+            _raise_difference(both, near, i, error, scales, ends, residual, (reference, other))
+        shaken = [s for s in near if len(s) > i and s[i].matches(mine)]
+        allowed = _allowed(mine, [s[i].numbers for s in shaken], scales, error, floor)
         if len(shaken) < len(near):
             raise Undecidable(f"{_event_label(i, mine)}: {_ANOTHER_COURSE}")
         near = shaken
         # States at different times differ by the motion in between.
-        allowed += abs(mine.t - its.t) * mine.rates
-        if mine.hit != its.hit:
-            _raise_undecidable_hit(first, second, i)
+        moves = rates[mine.jump.j]
+        allowed[1:] += abs(mine.jump.t - its.jump.t) * moves[[int(mine.ends), 1]].ravel()
+        if _hit(mine.jump) != _hit(its.jump):
+            _raise_undecidable_hit(first, second, i, scales, NUDGE * runs[0].t_end)
         _assert_close(mine.numbers, its.numbers, allowed, reference, _event_label(i, mine))
-    if any(len(sequence.events) != len(first.events) for sequence in near):
+    if any(len(events) != len(first) for events in near):
         raise Undecidable(f"the end: {_ANOTHER_COURSE}")
-    if first.mode != second.mode:
-        raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
-    last = Event(("", "end", (), ()), first.end, 0.0)
-    allowed = _allowed(last, [sequence.end for sequence in near], first, error, floor)
-    _assert_close(first.end, second.end, allowed, reference, "the end")
+    if runs[0].final_mode != runs[-1].final_mode:
+        raise AssertionError(
+            f"{runs[0].final_mode} at the end of one run, {runs[-1].final_mode} of the other"
+        )
+    last, *others = (_end(run) for run in runs)
+    allowed = _allowed(last, [one.numbers for one in others[: len(near)]], scales, error, floor)
+    _assert_close(last.numbers, others[-1].numbers, allowed, reference, "the end")
+
+
+def _end(run: Trace) -> Event:
+    """Return the end of a run as an event."""
+    mode, state = run.final_mode, run.final
+    return Event(Jump(run.t_end, len(run.jumps), "", "end", mode, mode, state, state), ends=False)
+
+
+def _hit(jump: Jump) -> tuple[str, ...]:
+    """Return the contacts of a jump in the order of impact."""
+    return tuple(piece.split()[0] for piece in jump.path)
+
+
+def _shortened(trace: Trace, t: float, state: Array) -> Trace:
+    """Return a run up to a time with this state."""
+    jumps = tuple(jump for jump in trace.jumps if jump.t <= t)
+    mode = jumps[-1].target if jumps else trace.start_mode
+    return replace(trace, jumps=jumps, t_end=t, final=state, final_mode=mode)
 
 
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
     """Return whether two runs have bitwise equal events and end."""
-
-    def numbers(sequence: EventSequence) -> object:
-        events = [(event.what, event.numbers.tolist()) for event in sequence.events]
-        return sequence.mode, sequence.end.tolist(), events
-
-    first, second = EventSequence.of(reference, Reading()), EventSequence.of(other, reading)
-    return numbers(first) == numbers(second)
+    runs = reference, reading.apply(other)
+    found = [[*(Event(jump, ends=False) for jump in run.jumps), _end(run)] for run in runs]
+    return len(found[0]) == len(found[1]) and all(
+        mine.matches(its) and mine.numbers.tolist() == its.numbers.tolist()
+        for mine, its in zip(*found, strict=True)
+    )
 
 
 def _error(trace: Trace) -> float:
@@ -172,15 +194,15 @@ def _error(trace: Trace) -> float:
 
 
 def _allowed(
-    event: Event, near: Sequence[Array], sequence: EventSequence, error: float, floor: Array
+    event: Event, near: Sequence[Array], scales: Array, error: float, floor: Array
 ) -> Array:
     """Return the allowed difference: error times growth of a perturbation, and round-off."""
     grown = np.zeros(len(event.numbers))
     for numbers in near:
         grown = np.maximum(grown, np.abs(numbers - event.numbers) / NUDGE)
-    allowed = error * (grown + sequence.sizes)
-    if (allowed > _CHAOTIC * sequence.sizes + floor).any():
-        raise Undecidable(f"by t = {event.t:.6g} errors of {error:.0e} have grown too large")
+    allowed = error * (grown + scales)
+    if (allowed > _CHAOTIC * scales + floor).any():
+        raise Undecidable(f"by t = {event.jump.t:.6g} errors of {error:.0e} have grown too large")
     return allowed + floor
 
 
@@ -195,26 +217,28 @@ def _assert_close(mine: Array, its: Array, allowed: Array, trace: Trace, place: 
         )
 
 
-def _raise_undecidable_hit(first: EventSequence, second: EventSequence, i: int) -> None:
+def _raise_undecidable_hit(
+    first: Sequence[Event], second: Sequence[Event], i: int, scales: Array, instant: float
+) -> None:
     """Raise `Undecidable` if round-off decides which contacts event `i` hits.
 
     Impacts within the gap tolerance merge, and slow impacts of contacts that move together have no
     definite order.
     """
-    instant = NUDGE * float(first.end[0])
-    for sequence in (first, second):
-        for one, two in pairwise(sequence.events[i : i + 2]):
-            if two.t - one.t <= instant:
+    for events in (first, second):
+        for one, two in pairwise(events[i : i + 2]):
+            if two.jump.t - one.jump.t <= instant:
                 raise Undecidable(
                     f"{_event_label(i, one)}: impacts closer than {instant:.1e} in time are a "
                     "single one in one of the runs"
                 )
-    n = len(first.end) // 2
-    small = _SLOW_IMPACT * first.sizes[n + 1 :]
-    both = [sequence.events[i].numbers for sequence in (first, second)]
-    if all((np.abs(at[n + 1 :] - at[1 : n + 1]) <= small).all() for at in both):
+    n = len(scales) // 2
+    both = [events[i].numbers for events in (first, second)]
+    if all(
+        (np.abs(at[n + 1 :] - at[1 : n + 1]) <= _SLOW_IMPACT * scales[n + 1 :]).all() for at in both
+    ):
         raise Undecidable(
-            f"{_event_label(i, first.events[i])}: the impact is so slow that round-off decides "
+            f"{_event_label(i, first[i])}: the impact is so slow that round-off decides "
             "which of the contacts that move together is hit first"
         )
 
@@ -225,12 +249,11 @@ def _raise_if_tolerances_decide(
     """Raise `Undecidable` if the runs differ at `event` because of their tolerances."""
     if loosened is None:
         return
-    first, second = without_unresolved(
-        [EventSequence.of(t, Reading()) for t in (loosened(), other)]
-    )
-    count = sum(one.t <= event.t for one in second.events)
-    courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
-    if courses[0] == courses[1] and courses[0][count:] != [event.what]:
+    first, second = resolved_events([loosened().jumps, other.jumps])
+    count = sum(one.jump.t <= event.jump.t for one in second)
+    ours, theirs = first[: count + 1], second[: count + 1]
+    same = len(ours) == len(theirs) and all(map(Event.matches, ours, theirs))
+    if same and not any(one.matches(event) for one in ours[count:]):
         raise Undecidable(
             f"{_event_label(i, event)}: with the tolerances of the other engine, this run has the "
             "events of the other run"
@@ -238,27 +261,28 @@ def _raise_if_tolerances_decide(
 
 
 def _raise_difference(
-    first: EventSequence,
-    second: EventSequence,
-    near: Sequence[EventSequence],
+    both: tuple[Sequence[Event], Sequence[Event]],
+    near: Sequence[Sequence[Event]],
     i: int,
     error: float,
+    scales: Array,
+    ends: tuple[float, float],
     residual: float,
     traces: tuple[Trace, Trace],
 ) -> NoReturn:
-    """Raise the error for a different event `i`."""
-    own, others = first.events[i : i + 1], second.events[i : i + 1]
-    place = _event_label(i, (own or others)[0])
-    what = tuple(event.what for event in own)
-    if any(tuple(e.what for e in sequence.events[i : i + 1]) != what for sequence in near):
+    """Raise the error for a different event `i`; runs end at `ends`."""
+    own, others = (events[i : i + 1] for events in both)
+    place = _event_label(i, (*own, *others)[0])
+    there = [events[i : i + 1] for events in near]
+    if any(len(one) != len(own) or not all(map(Event.matches, own, one)) for one in there):
         raise Undecidable(f"{place}: {_ANOTHER_COURSE}")
-    instant = error * float(first.end[0])
+    instant = error * ends[0]
     if own:
-        numbers = [sequence.events[i].numbers for sequence in near]
-        instant = float(_allowed(own[0], numbers, first, error, np.zeros(len(first.end)))[0])
-    for sequence, end in ((first, second.end[0]), (second, first.end[0])):
-        times = [event.t for event in sequence.events[max(i - 1, 0) : i + 2]]
-        at_end = any(abs(event.t - end) <= instant for event in sequence.events[i : i + 1])
+        numbers = [events[i].numbers for events in near]
+        instant = _allowed(own[0], numbers, scales, error, np.zeros(len(scales))).item(0)
+    for events, end in zip(both, reversed(ends), strict=True):
+        times = [event.jump.t for event in events[max(i - 1, 0) : i + 2]]
+        at_end = any(abs(event.jump.t - end) <= instant for event in events[i : i + 1])
         if at_end or any(b - a <= instant for a, b in pairwise(times)):
             raise Undecidable(f"{place}: events closer than {instant:.1e} in time")
     if residual > NUDGE:
@@ -269,14 +293,17 @@ def _raise_difference(
     if not all(trace.certified or trace.step is not None for trace in traces):
         raise Undecidable(f"{place}: a guard could not be decided")
     shown = [
-        f"{e[0].what[0]} {e[0].what[1]} to {' '.join(e[0].what[3])}" if e else "nothing more"
+        f"{e[0].jump.region} {e[0].jump.cause} to {' '.join(e[0].jump.target)}"
+        if e
+        else "nothing more"
         for e in (own, others)
     ]
     raise AssertionError(f"{place}: {shown[0]} in one run, {shown[1]} in the other")
 
 
 def _event_label(i: int, event: Event) -> str:
-    return f"event {i + 1} ({event.what[0]} {event.what[1]}, t = {event.t:.7g})"
+    jump = event.jump
+    return f"event {i + 1} ({jump.region} {jump.cause}, t = {jump.t:.7g})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,100 +330,47 @@ class Reading:
     regions: Mapping[str, str] = field(default_factory=dict)
     untransformed: frozenset[str] = frozenset()
 
-
-@dataclass(frozen=True, eq=False)
-class Event:
-    """A jump for comparison."""
-
-    what: tuple[str, str, Key, Key]  # region, cause, mode before and after
-    numbers: Array  # time, state before, state after
-    skipped: float  # see `Jump`
-    rounded: float = 0.0  # relative error by round-off until then
-    rates: Array | float = 0.0  # time derivatives of the numbers
-    hit: tuple[str, ...] = ()  # contacts in the order of impact
-
-    @property
-    def t(self) -> float:
-        """The time."""
-        return float(self.numbers[0])
-
-    @property
-    def resolved(self) -> Event:
-        """The end of a Zeno sequence without data of its last resolved jump."""
-        n = len(self.numbers) // 2
-        after = self.numbers[n + 1 :]
-        numbers = np.concatenate([self.numbers[:1], after, after])
-        rates = np.zeros_like(numbers) + self.rates
-        rates[1 : n + 1] = rates[n + 1 :]
-        what = ("", self.what[1], (), self.what[3])
-        return replace(self, what=what, numbers=numbers, rates=rates)
-
-
-@dataclass(frozen=True, eq=False)
-class EventSequence:
-    """The events and the end of a run for comparison."""
-
-    events: tuple[Event, ...]
-    mode: Key  # final mode
-    end: Array  # time, state, state
-    sizes: Array  # largest magnitudes
-
-    @classmethod
-    def of(cls, trace: Trace, reading: Reading) -> EventSequence:
-        """Return the sequence of a trace."""
-
-        def region(name: str) -> str:
-            return reading.regions.get(name, name)
-
-        order = [trace.regions.index(region(name)) for name in trace.regions]
-        maps = [{} if trace.regions[i] in reading.untransformed else reading.states for i in order]
+    def apply(self, trace: Trace) -> Trace:
+        """Return the events and the end of a run as those of the original model."""
+        names = {name: self.regions.get(name, name) for name in trace.regions}
+        order = [trace.regions.index(name) for name in names.values()]
+        maps = [{} if trace.regions[i] in self.untransformed else self.states for i in order]
 
         def key(mode: Key) -> Key:
-            return tuple(
-                states.get(mode[i], mode[i]) for i, states in zip(order, maps, strict=True)
+            states = [mode[i] for i in order]
+            return tuple(known.get(state, state) for known, state in zip(maps, states, strict=True))
+
+        def jump(one: Jump) -> Jump:
+            return replace(
+                one,
+                t=one.t * self.time,
+                region=names.get(one.region, one.region),
+                source=key(one.source),
+                target=key(one.target),
+                before=one.before * self.factors,
+                after=one.after * self.factors,
+                path=tuple(names.get(name, name) for name in _hit(one)),
+                skipped=one.skipped * self.time,
             )
 
-        def event(jump: Jump) -> Event:
-            states = [jump.before * reading.factors, jump.after * reading.factors]
-            return Event(
-                (region(jump.region), jump.cause, key(jump.source), key(jump.target)),
-                np.concatenate([[jump.t * reading.time], *states]),
-                jump.skipped * reading.time,
-                hit=tuple(region(piece.split()[0]) for piece in jump.path),
-            )
-
-        ends = [arc.coefficients[:, :, 0] for arc in trace.arcs]
-        visited = np.concatenate([*ends, trace.initial[None], trace.final[None]]) * reading.factors
-        sizes = np.abs(visited).max(axis=0)
-        t_end, final = trace.t_end * reading.time, trace.final * reading.factors
-        return cls(
-            tuple(map(event, trace.jumps)),
-            key(trace.final_mode),
-            np.concatenate([[t_end], final, final]),
-            np.concatenate([[t_end], sizes, sizes]),
+        return replace(
+            trace,
+            jumps=tuple(map(jump, trace.jumps)),
+            final=trace.final * self.factors,
+            final_mode=key(trace.final_mode),
+            t_end=trace.t_end * self.time,
         )
 
-    def rounded(
-        self, trace: Trace, conditions: Sequence[float | None], known: float
-    ) -> EventSequence:
-        """Add round-off (of states with relative error `known`) and rates to every event."""
-        rounded, events = 0.0, []
-        pairs = zip_longest(self.events, conditions[: len(self.events)])
-        for (event, condition), rates in zip(pairs, _rates(trace), strict=True):
-            rounded += known * min(condition or 0.0, 1.0 / known)
-            events.append(replace(event, rounded=rounded, rates=rates))
-        return replace(self, events=tuple(events))
 
-    def shortened(self, t: float, state: Array) -> EventSequence:
-        """Return the sequence up to a time with this state."""
-        events = tuple(event for event in self.events if event.t <= t)
-        first = self.events[0].what[2] if self.events else self.mode
-        mode = events[-1].what[3] if events else first
-        return replace(self, events=events, mode=mode, end=np.concatenate([[t], state, state]))
+def _rounded(trace: Trace, conditions: Sequence[float | None], known: float) -> list[float]:
+    """Return the relative error by round-off at every jump, of states with error `known`."""
+    own = (known * min(condition or 0.0, 1.0 / known) for condition in conditions)
+    errors = [*islice(accumulate(own), len(trace.jumps))]
+    return errors + [errors[-1] if errors else 0.0] * (len(trace.jumps) - len(errors))
 
 
 def _rates(trace: Trace) -> list[Array]:
-    """Return the time derivatives of the numbers of every jump, 0 for its time."""
+    """Return the time derivatives (2, n) of the states before and after every jump."""
     starts: dict[int, Array] = {}
     ends: dict[int, Array] = {}
     for arc in trace.arcs:
@@ -407,16 +381,4 @@ def _rates(trace: Trace) -> list[Array]:
     count, still = len(trace.jumps), np.zeros(len(trace.variables))
     before = [*accumulate(range(count), lambda rates, j: ends.get(j, rates), initial=still)]
     after = [*accumulate(range(count, 0, -1), lambda r, j: starts.get(j, r), initial=still)]
-    pairs = zip(before[1:], after[:0:-1], strict=True)
-    return [np.abs(np.concatenate([[0.0], *pair])) for pair in pairs]
-
-
-def without_unresolved(sequences: list[EventSequence]) -> list[EventSequence]:
-    """Omit the bounces that at least one run skipped; see `drop_summed`."""
-    left = drop_summed([sequence.events for sequence in sequences])
-    if left is None:
-        return sequences
-    return [
-        replace(sequence, events=tuple(event.resolved if end else event for event, end in events))
-        for sequence, events in zip(sequences, left, strict=True)
-    ]
+    return [np.abs(pair) for pair in zip(before[1:], after[:0:-1], strict=True)]

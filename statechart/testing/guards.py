@@ -185,13 +185,11 @@ def _assert_margins(
 
 def _variation(trace: Trace) -> Array:
     """Return the uncertainty (n,) of variables: round-off, and the change in a time step."""
-    sizes, steps = np.zeros((2, len(trace.variables)))
-    for arc in trace.arcs:
-        sizes = np.fmax(sizes, np.abs(arc.coefficients[:, :, 0]).max(axis=0, initial=0.0))
-        if trace.step is not None:
-            moves = np.abs(np.diff(arc.states(arc.times), axis=0)).max(axis=0, initial=0.0)
-            steps = np.maximum(steps, moves)
-    return ROUND_OFF * sizes + steps
+    steps = np.zeros(len(trace.variables))
+    for arc in trace.arcs if trace.step is not None else ():
+        moves = np.abs(np.diff(arc.states(arc.times), axis=0)).max(axis=0, initial=0.0)
+        steps = np.maximum(steps, moves)
+    return ROUND_OFF * sizes(trace) + steps
 
 
 # Samples of an arc, at least, and of a run.

@@ -24,7 +24,7 @@ import numpy as np
 
 from statechart.arrays import ROUND_OFF, Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.trace import Outcome, Role, Trace
+from statechart.automaton.trace import Outcome, Role, Trace, sizes
 from statechart.tabular import pluralise
 from statechart.testing.agreement import Undecidable, assert_same
 from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins, assert_relations
@@ -266,10 +266,8 @@ def assert_continuous(trace: Trace) -> None:
     trace : Trace
         A run.
     """
-    visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
-    sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
     error = ROUND_OFF if trace.step is not None else max(trace.tolerance, ROUND_OFF)
-    allowed = _CONTINUOUS * error * sizes + largest_projection(trace)
+    allowed = _CONTINUOUS * error * sizes(trace) + largest_projection(trace)
     state, j = trace.initial, 0
     for arc in trace.arcs:
         state = _through(trace, state, j, arc.j, allowed)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,9 +66,9 @@ class Subject:
                 self.observers[name] = made.at(Setting(name, method if name == "scipy" else None))
             except DeclarationError as error:
                 self.missing[name] = error.message
-        self._loosened: dict[float, Simulator] = {}
         self._variants: dict[str, Subject] = {}
-        self._cases: OrderedDict[tuple[tuple[str, float], ...], Case] = OrderedDict()
+        self._case = lru_cache(_MAX_CASES)(lambda items: self.fresh(dict(items)))
+        self.loosened = cache(self._loosened)
         self._programs = Programs(self.automaton)
 
     @property
@@ -81,12 +80,7 @@ class Subject:
 
     def case(self, parameters: Mapping[str, float]) -> Case:
         """Return the cached case of some parameters."""
-        key = tuple(sorted(parameters.items()))
-        found = self._cases.pop(key, None) or self.fresh(parameters)
-        self._cases[key] = found
-        if len(self._cases) > _MAX_CASES:
-            self._cases.popitem(last=False)
-        return found
+        return self._case(tuple(sorted(parameters.items())))
 
     def fresh(self, parameters: Mapping[str, float]) -> Case:
         """Return a new case of some parameters."""
@@ -99,14 +93,11 @@ class Subject:
             self._variants[key] = Subject(variant)
         return Case(self._variants[key], dict(parameters))
 
-    def loosened(self, relative: float) -> Simulator:
+    def _loosened(self, relative: float) -> Simulator:
         """Return the most accurate engine's simulator of modes chosen as at `relative`."""
-        if relative not in self._loosened:
-            simulator = self.observers[self.engines[0]].simulator
-            assert isinstance(simulator, Simulator)  # there are several engines
-            automaton = with_loosened_modes(self.automaton, relative)
-            self._loosened[relative] = Simulator(automaton, simulator.engine)
-        return self._loosened[relative]
+        simulator = self.observers[self.engines[0]].simulator
+        assert isinstance(simulator, Simulator)  # there are several engines
+        return Simulator(with_loosened_modes(self.automaton, relative), simulator.engine)
 
     @cached_property
     def finer(self) -> Subject | None:
@@ -153,41 +144,22 @@ class Subject:
         (m, f) array
         """
         times = arc.start.high + (arc.start.low + tau)
-        states = arc.states(tau) if states is None else states
-        known = arc.unknowns(tau)
-        if known is None:
-            return self.values(trace, expressions, states, times, self.mode(trace, arc))
-        tape = self._programs.tape(tuple(expressions), None, known=True)
-        return tape.table(np.hstack([states, known]), trace.values, times)
+        states, known = arc.states(tau) if states is None else states, arc.unknowns(tau)
+        mode = self.mode(trace, arc) if known is None else None
+        rows = states if known is None else np.hstack([states, known])
+        tape = self._programs.tape(tuple(expressions), mode, known=known is not None)
+        return tape.table(rows, trace.values, times)
 
     def values(
-        self,
-        trace: Trace,
-        expressions: Sequence[sp.Expr],
-        states: Array,
-        times: Array,
-        mode: Mode | None = None,
+        self, trace: Trace, expressions: Sequence[sp.Expr], states: Array, times: Array
     ) -> Array:
-        """Evaluate expressions in the symbols of the automaton.
-
-        Parameters
-        ----------
-        trace : Trace
-            Run with the parameters.
-        expressions : sequence of Expr
-            In variables, parameters and time; with `mode` also in unknowns.
-        states : (m, n) array
-        times : (m,) array
-            Absolute.
-        mode : Mode, optional
-            Solved mode, for the unknowns.
+        """Evaluate expressions in variables, parameters and time, in states (m, n) at times (m,).
 
         Returns
         -------
         (m, f) array
         """
-        tape = self._programs.tape(tuple(expressions), mode)
-        return tape.table(states, trace.values, times)
+        return self._programs.tape(tuple(expressions), None).table(states, trace.values, times)
 
 
 class Case:

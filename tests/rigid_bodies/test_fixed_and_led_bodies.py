@@ -12,7 +12,7 @@ import pytest
 from contacts.rigid_bodies.body_stepper import bodies_automaton
 from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.rigid_bodies.mechanics import BodyMechanics
-from contacts.rigid_bodies.prescribed_motion import Paths, Positions
+from contacts.rigid_bodies.prescribed_motion import Paths
 from contacts.scene.scene import Scene
 from contacts.testing.body_properties import assert_depths, body_properties
 from statechart.arrays import Array
@@ -294,9 +294,8 @@ settings: {{engine: impulse, step: 0.001}}
         Paths(BodyMechanics(model)),
     )
 
-    def raised(times: Array, memories: Array, states: Mapping[str, str]) -> Positions:
-        found = paths.at(trace.values, times, memories, states)
-        return found._replace(poses=found.poses + np.array([0.0, 0.01, 0.0]))
+    def raised(times: Array, memories: Array, states: Mapping[str, str]) -> Array:
+        return paths.at(trace.values, times, memories, states) + np.array([0.0, 0.01, 0.0])
 
     with pytest.raises(AssertionError, match=r"0\.01 deep in a body that moves as prescribed"):
         assert_depths(numbers, trace, raised)

@@ -365,6 +365,17 @@ def test_redundant_joints_give_a_warning():
     assert any("other joints imply 'mid'" in words for words in run(third).warnings)
 
 
+def test_a_propped_cantilever_gives_a_warning():
+    """Welded at one end, it is held; a guide at the other leaves its couple undetermined."""
+    weld = "to: [0, 0], angle: held}"
+    held = chain(1, time=0.1).replace("to: [0, 0]}", weld)
+    assert weld in held
+    assert not run(held).warnings
+    prop = "  far: {point: {body: bar0, at: [0, -l/2]}, to: {x: l*sin(a)}}\n"
+    warnings = run(held.replace("collisions:", prop + "collisions:")).warnings
+    assert any("other joints imply" in words for words in warnings)
+
+
 @pytest.mark.parametrize("digits", [6, 8, 12, 17])
 def test_a_body_on_redundant_joints_stays_at_rest(digits):
     """However exactly they are declared: the three bear the weight, and the disc does not move."""
@@ -518,7 +529,7 @@ settings: {{engine: impulse, step: STEP}}
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("to: [0, 0]", "to: [0, 0.1]", "joint 'j0' is open at the start: its point is at"),
+        ("to: [0, 0]", "to: [0, 0.1]", "joint 'j0' is open at the start: its ends are 0.1 apart"),
         ("dangle: w", "dangle: 1", "joint 'j0' does not hold at the start: its ends move apart"),
         ("to: [0, 0]", "to: {body: bar7}", "no body 'bar7'"),
     ],

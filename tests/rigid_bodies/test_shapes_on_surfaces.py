@@ -252,6 +252,25 @@ def test_a_disc_at_rest_in_a_turning_drum_rolls():
     assert trace.final[5] == pytest.approx(spin, rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("surface", "place", "carried"),
+    [
+        ("edge: [[-1, 0], [1, 0]]", (0, 0), "edge: [[-1, 0], [1, 0]]"),
+        ("circle: [0.1, -0.9], radius: 0.9", (0.1, -0.9), "circle: [0, 0], radius: 0.9"),
+    ],
+)
+def test_a_surface_on_a_path_moves_bodies_as_one_on_a_led_body(surface, place, carried):
+    x, y, turn = "0.1*sin(5*time)", "0.02*sin(8*time)", "0.2*sin(3*time)"
+    starts = {"box": at(0.0, 0.101), "disc": at(0.4, 0.2)}
+    path = f"{surface}, displacement: [{x}, {y}], turn: {turn}"
+    board = f"position: [{place[0]} + {x}, {place[1]} + {y}], angle: {turn}, shape: {{disc: 0.01}}"
+    one = run(scene(starts, {"tray": path}, mu=0.4, e=0.2))
+    more = f"  board: {{{board}}}"
+    other = run(scene(starts, {"tray": f"{carried}, body: board"}, mu=0.4, e=0.2, more=more))
+    assert len(one.jumps) == len(other.jumps) > 3
+    assert one.final == pytest.approx(other.final, abs=1e-9)
+
+
 def test_a_box_on_a_cart_comes_to_its_speed():
     cart = "  cart: {mass: 6, inertia: 1, start: {y: -1}}"
     surfaces = {"deck": "edge: [[-3, 1], [3, 1]], body: cart", "rail": "height: -1.1"}
@@ -339,15 +358,15 @@ def test_transformed_scenes_have_transformed_runs(change):
 @pytest.mark.parametrize(
     ("starts", "words"),
     [
-        ({"disc": at(0.0, 2.0)}, "every body starts outside the hollow circle 'drum'"),
-        ({"disc": at(0.0, 0.0), "box": at(0.0, 2.0)}, "body 'box' starts outside the hollow"),
-        ({"disc": "x: 0"}, "has a radius of 0.04"),
+        ({"disc": at(0.0, 2.0)}, "'disc' starts 1.05 deep in surface 'drum'; move it by"),
+        ({"disc": at(0.0, 0.0), "box": at(0.0, 2.0)}, "'box' starts .* deep in surface 'drum'"),
+        ({"disc": "x: 0"}, "0.01 deep in surface 'drum'; no small move frees it"),
     ],
 )
 def test_drum_bodies_must_start_inside(starts, words):
-    radius = 0.04 if "radius of" in words else 1
+    radius = 0.04 if "no small move" in words else 1
     text = scene(starts, {"drum": f"circle: [0, 0], radius: {radius}, hollow: true"})
-    with pytest.raises(DeclarationError, match=words):
+    with pytest.raises(DeclarationError, match=f"{words}.* remove hollow"):
         Runner(interpret(read_text(text))).run()
 
 

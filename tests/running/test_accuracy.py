@@ -23,7 +23,8 @@ from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.engine import TimeBudget
 from statechart.errors import OutOfBudget
-from statechart.observation.difference import compare, pair_jumps, separation_time
+from statechart.observation.alignment import pair_jumps
+from statechart.observation.difference import compare, separation_time
 from statechart.observation.observer import Observer
 from statechart.running.accuracy import EvaluatedRun, Once, run_within_budget, tighten
 from statechart.running.runner import Runner, run

@@ -137,6 +137,16 @@ def test_batches_equal_single_runs_with_conditions_lists_and_plastic_impacts(
     assert compared(model, cells(model, 60), monkeypatch) >= 10
 
 
+@pytest.mark.parametrize("declared", ["free", "off"])
+def test_batches_start_in_declared_modes(declared: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = f"{HAIRY}\nmodes: {{A: {declared}, B: free}}\n"
+    model = interpret(read_text(text.replace("h: [0.3, 1]", "h: [0.6, 1]")))
+    assert isinstance(model, Declaration)
+    low = model.ranges if declared == "free" else {**model.ranges, "low": (0.1, 0.2)}
+    model = model.model_copy(update={"ranges": low})
+    assert compared(model, cells(model, 24), monkeypatch) >= 5
+
+
 def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

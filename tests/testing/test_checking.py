@@ -13,6 +13,7 @@ from contacts.testing.scene_properties import assert_energy, assert_gaps
 from contacts.testing.scene_properties import properties as contact_properties
 from contacts.testing.symmetry import LENGTH, TIMES, image_property, mirrored, rescaled
 from statechart.automaton.regions import State
+from statechart.automaton.trace import sizes
 from statechart.charts.chart import Chart
 from statechart.charts.laws import automaton as chart_automaton
 from statechart.documents.yaml_reader import read_text
@@ -21,7 +22,7 @@ from statechart.loading.load import interpret, load
 from statechart.testing.agreement import Reading
 from statechart.testing.checking import check, examine
 from statechart.testing.guards import assert_invariants, assert_margins, dense
-from statechart.testing.properties import assert_prefix, generic
+from statechart.testing.properties import assert_engines_agree, assert_prefix, generic
 from statechart.testing.subject import Subject, ranges
 
 
@@ -524,6 +525,29 @@ def test_grown_errors_count_as_undecidable():
     assert result.undecidable == result.examples > 0
     assert "grown too large" in result.reason
     assert "undecidable" in report.text()
+
+
+def test_a_variable_that_is_zero_at_every_event_has_the_size_of_its_path():
+    """A ball thrown up at 3 m/s from the ground is 0.45 m high between two events at x = 0."""
+    thrown = """
+kind: chart
+name: thrown
+parameters: {g: 10, v0: 3, k: 0.5}
+variables: {x: 0, v: v0}
+regions:
+  ball:
+    initial: flight
+    states: {flight: {flows: {x: v, v: -g}}, hop: {flows: {x: v, v: -g}}, rest: {}}
+    transitions:
+      - {name: bounce, from: flight, to: hop, guard: x <= 0, updates: {x: 0, v: -k*v}}
+      - {name: land, from: hop, to: rest, guard: x <= 0, updates: {x: 0, v: 0}}
+stop: {time: 1}
+"""
+    case = Subject(model(thrown)).case({})
+    assert [jump.t for jump in case.trace.jumps] == pytest.approx([0.6, 0.9])
+    assert sizes(case.trace)[0] == pytest.approx(0.45)
+    assert_engines_agree(case)
+    assert_prefix(case)
 
 
 def test_errors_that_stay_small_are_decided():

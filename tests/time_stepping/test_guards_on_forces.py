@@ -84,11 +84,11 @@ def test_a_guard_on_a_control_that_saturates_between_steps(
 @pytest.mark.parametrize(
     ("start", "limit", "first"),
     [
-        ("dx: 1", 0.0015, 0.001),  # It rests from the start on.
+        ("dx: 1", 0.0015, 0.0),  # It rests from the start on.
         ("dx: 1, y: 0.2", 0.2045, 0.204),  # It lands at 0.2.
     ],
 )
-def test_a_guard_on_a_force_fires_at_the_first_step_that_knows_it(
+def test_a_guard_on_a_force_fires_where_steps_know_it_first(
     start: str, limit: float, first: float
 ) -> None:
     """The guard is true before, where steps do not know the force, and false a step later."""

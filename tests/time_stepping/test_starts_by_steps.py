@@ -76,3 +76,30 @@ def test_a_compliant_contact_that_touches_is_closed_from_the_start(
     assert not trace.jumps
     depth = 10.0 / 400.0 * (1.0 - math.cos(20.0 * 0.05))
     assert trace.final[1] == pytest.approx(-depth, rel=2e-3)
+
+
+LEVEL_ROPE = """
+kind: scene
+name: level_rope
+gravity: 10
+bodies: {b: {mass: 2, start: {x: 1}}}
+joints: {c: {point: {body: b}, to: [0, 0], rope: 1}}
+stop: {time: 0.3}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-2, 1e-3, 1e-4])
+def test_a_level_rope_whose_tension_begins_at_zero_is_taut_from_the_start_on(step: float) -> None:
+    """The tension is 3 m g sin(a) below the horizontal, and the rope never slack."""
+    trace = trace_of(LEVEL_ROPE, step)
+    assert trace.start_mode == ("slide",)
+    assert not trace.jumps
+    x, y = trace.final[:2]
+    assert math.hypot(x, y) == pytest.approx(1.0, abs=2.0 * step**2)
+    assert math.hypot(*trace.final[2:]) == pytest.approx(math.sqrt(-20.0 * y), rel=step)
+
+
+def test_a_rope_that_nothing_tightens_starts_free() -> None:
+    text = LEVEL_ROPE.replace("gravity: 10", "gravity: 0")
+    trace = trace_of(text, 1e-3)
+    assert (trace.start_mode, len(trace.jumps)) == (("free",), 0)

@@ -1,0 +1,252 @@
+"""Truth of guards in time steps: of transitions of controllers, and of stop conditions.
+
+A guard fires at the end of a step in which it becomes true and still is, or at which it is true and
+not about to become false by itself. A quantity that stays on its boundary for a step, as the slip
+of a sticking contact does, is zero up to round-off: `<=` and `>=` hold, `<` and `>` do not.
+
+Within a step margins are interpolated, by cubics (Hermite), or linearly in steps with impacts and
+where a rate is unknown: a warning names a guard that is true there, at neither end. An impact may
+leave a margin beyond the bound at which the motion turns it back, by the depth of the landing: such
+an atom is true if it is so at both ends. Those that it changes are as at one end or the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.states import STATES
+from contacts.time_stepping.chunk import Chunk
+from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.regions import Region
+from statechart.automaton.trace import Key
+from statechart.charts.guard_watch import GuardWatch
+
+# Part of a step within which a guard counts as true at its end: times are rounded.
+_AT_END = 1e-6
+
+Table = Callable[[Array, Array, Array, int], Array]
+"""Times (m,), states (m, w), unknowns (m, u), order of a time derivative -> margins, or their
+derivatives, and sizes of terms (m, a, 2)."""
+
+
+class ActiveStates:
+    """Active states of regions, by mode codes of steps and controller states."""
+
+    def __init__(self, regions: Sequence[Region]) -> None:
+        self._places = {region.name: (place, region) for place, region in enumerate(regions)}
+
+    def at(self, codes: Ints, controls: Key) -> Callable[[str, str], Bools]:
+        """Return a test of the rows (m,) in which a region is in a state."""
+
+        def active(name: str, state: str) -> Bools:
+            place, region = self._places[name]
+            if place >= codes.shape[1]:
+                now = state in region.active(controls[place - codes.shape[1]])
+                return np.full(len(codes), now)
+            table = [state in region.active(other) for _, other in sorted(STATES.items())]
+            return np.array(table)[codes[:, place]]
+
+        return active
+
+
+class _Ends(NamedTuple):
+    """Atoms (m, a) at the ends of steps."""
+
+    margins: Array
+    rates: Array
+    zero: Array  # Round-off of the margins.
+    true: Bools
+    due: Bools  # True, and not about to become false within a step.
+    near: Bools  # At zero within round-off; not of atoms of time alone.
+
+
+class StepTruths:
+    """Guards of a watch in consecutive steps, in given states of controllers.
+
+    The first `coordinates` variables are coordinates; `active`: see `ActiveStates.at`.
+    """
+
+    def __init__(
+        self,
+        watch: GuardWatch,
+        table: Table,
+        rounded: float,
+        coordinates: int,
+        active: Callable[[Ints], Callable[[str, str], Bools]],
+    ) -> None:
+        self._watch, self._table, self._rounded = watch, table, rounded
+        self._n, self._active = coordinates, active
+        count = len(watch.margins)
+        # Atoms at the end of the last step, and those at zero there and a step before.
+        self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
+        self._start = np.full((1, count), np.nan)
+        # In the last steps that do not know forces: atoms on these, other atoms that were true, and
+        # guards that were true but for the first.
+        self._forced, self._known = np.zeros((2, count), np.bool_)
+        self._hidden = np.zeros(len(watch.guards), np.bool_)
+
+    def at(
+        self, time: float, state: Array, solved: Array, h: float, codes: Ints
+    ) -> tuple[Bools, Bools]:
+        """Return the guards (g,) that are due at an instant, and those that are true.
+
+        Atoms that become false within a step make no guard due.
+        """
+        ends = self._ends(np.array([time]), state[None], solved[None], h, self._zero[:1])
+        self._last, self._start = ends.true, ends.margins
+        unknown = np.isnan(ends.margins)
+        rows = np.vstack([ends.due, ends.true, ends.true | unknown])
+        due, true, possible = self._guards(rows, np.tile(codes, (3, 1)))
+        self._hidden |= possible & ~true
+        self._forced |= unknown[0]
+        self._known |= ends.true[0] & unknown.any()
+        return due, true
+
+    def take(self, chunk: Chunk, start: float, codes: Ints) -> tuple[Bools, Bools]:
+        """Return the guards (m, g) that fire at the ends of steps, and those that are true there.
+
+        The regions have modes `codes` (m + 1, r) at the start and the ends.
+        """
+        ends = self._ends(
+            chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, self._zero[1:]
+        )
+        self._at, self._codes, self._all = ends, codes[1:], np.vstack([self._last, ends.true])
+        self._turned, self._jumped = np.zeros((2, *ends.true.shape), np.bool_)
+        if chunk.struck.any():
+            hit = np.flatnonzero(chunk.struck.any(axis=1))
+            sides, delay = chunk.states[[hit, hit + 1]], 0.5 * chunk.h + chunk.impact_delay[hit]
+            sides[:, :, : self._n] = sides[0, :, : self._n]
+            sides[:, :, : self._n] += delay[:, None] * sides[0, :, self._n : 2 * self._n]
+            at = np.tile(start + hit * chunk.h + delay, 2), np.vstack([*sides])
+            solved = np.tile(chunk.solved[hit], (2, 1))
+            (left, right), (fall, rise) = (
+                np.split(self._table(*at, solved, order)[..., 0], 2) for order in (0, 1)
+            )
+            self._turned[hit] = (fall < 0.0) & (rise > 0.0)
+            self._jumped[hit] = (left < 0.0) != (right < 0.0)
+        true = self._guards(self._all, codes)
+        lasting = ends.true & (self._all[:-1] | ~self._turned)
+        begins = self._guards(lasting, self._codes) & ~true[:-1]
+        return self._guards(ends.due, self._codes) | begins, true[1:]
+
+    def undefined(self, chunk: Chunk) -> tuple[int, str] | None:
+        """Return the first step at whose end a guard has no value, and its name.
+
+        Forces of steps with impacts are NaN, and so are margins on them. A guard of several atoms
+        is undefined if all are.
+        """
+        unknown: Bools = np.isnan(self._at.margins[: len(chunk.codes)])
+        if not unknown.any():
+            return None
+        known = np.isfinite(np.hstack([chunk.states[1:], chunk.solved]))
+        unknown &= np.all(known, axis=1, keepdims=True)
+        parts = [
+            unknown[:, first : first + len(condition.atoms)].all(axis=1)
+            for _, condition, first in self._watch.placed
+        ]
+        lost = np.argwhere(np.stack(parts, axis=1)).tolist()
+        return (lost[0][0], self._watch.guards[lost[0][1]].name) if lost else None
+
+    def accept(self, chunk: Chunk, start: float, end: float) -> dict[str, str]:
+        """Continue after these steps, the first of those that `take` had last.
+
+        Returns guard -> warning that it is true within a step only, until the run is at `end`, or
+        before steps know its forces.
+        """
+        count, found = len(chunk.codes), dict[str, str]()
+        if not count:
+            return found
+        for k in np.flatnonzero(self._crossed(chunk)).tolist():
+            for i in np.flatnonzero(self._within(chunk, start, k, end)).tolist():
+                name = self._watch.guards[i].name
+                found[name] = (
+                    f"{name} is true within the step of {chunk.h:g} at t = "
+                    f"{start + k * chunk.h:.6g}, at neither end: steps pass over it; use a "
+                    "shorter step"
+                )
+        atoms, codes = self._all[1 : count + 1], self._codes[:count]
+        unknown = np.isnan(self._at.margins[:count])
+        if unknown.any() or self._hidden.any():
+            true = self._guards(atoms, codes)
+            possible = self._guards(atoms | unknown, codes) & ~true
+            for k in range(count):
+                if unknown[k].any():
+                    self._hidden |= possible[k]
+                    self._forced |= unknown[k]
+                    self._known |= atoms[k]
+                else:
+                    # What the forces are now they were in the steps that do not know them.
+                    rows = np.where(self._forced, atoms[k : k + 1], self._known)
+                    [was] = self._guards(rows, codes[k : k + 1])
+                    for i in np.flatnonzero(self._hidden & was & ~true[k]).tolist():
+                        name = self._watch.guards[i].name
+                        found[name] = (
+                            f"{name} is true before t = {start + (k + 1) * chunk.h:.6g}, in steps "
+                            f"of {chunk.h:g} that do not know its forces; use a shorter step"
+                        )
+                    self._hidden[:] = self._forced[:] = self._known[:] = False
+        self._zero = np.vstack([self._zero[1:], self._at.near[:count]])[-2:]
+        self._last, self._start = atoms[-1:], self._at.margins[count - 1 : count]
+        return found
+
+    def _ends(self, times: Array, states: Array, solved: Array, h: float, zero: Bools) -> _Ends:
+        """Return the atoms at the ends of steps; `zero` (1, a) were at zero a step before."""
+        margin, size = np.moveaxis(self._table(times, states, solved, 0), -1, 0)
+        rate, second = (self._table(times, states, solved, order)[..., 0] for order in (1, 2))
+        passing = (rate > 0.0) & (margin + h * rate >= 0.0)
+        falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
+        true: Bools = margin + _AT_END * h * falling < 0.0
+        # A margin that has just come to zero was braked, and need not cross: a strict guard waits
+        # until it leaves zero. Times do cross.
+        least = self._rounded * size
+        near = ~self._watch.timed & (np.abs(margin) <= least)
+        rises = (h * rate > least) | ((h * rate >= -least) & (h * h * second > least))
+        # The rates of forces are unknown: they stay if they were zero a step ago.
+        stays = np.isfinite(rate) | np.vstack([zero, near[:-1]])
+        true = np.where(near, self._watch.closed & stays & ~rises, true)
+        return _Ends(margin, rate, least, true, true & (near | ~passing), near)
+
+    def _guards(self, atoms: Bools, codes: Ints) -> Bools:
+        """Return the guards (m, g) that are true, from their atoms (m, a) and modes (m, r)."""
+        return self._watch.truths(atoms, self._active(codes))
+
+    def _crossed(self, chunk: Chunk) -> Bools:
+        """Return the steps (m,) in which atoms cross zero in turn, or one there and back."""
+        count, ends = len(chunk.codes), self._at
+        first = np.vstack([self._start, ends.margins])[:count]
+        last, change = ends.margins[:count], chunk.h * ends.rates[:count]
+        before, after, turned = self._all[:count], self._all[1 : count + 1], self._turned[:count]
+        crossed = (before != after) & ~turned
+        # The parabola last - change s + bend s^2, s back from the end.
+        bend = first - last + change
+        with np.errstate(divide="ignore", invalid="ignore"):
+            deep = last - 0.25 * change**2 / bend < -ends.zero[:count]
+        dips = deep & (change > 0.0) & (change < 2.0 * bend) & ~(before | after | turned)
+        return (crossed.sum(axis=1) > 1) | dips.any(axis=1)
+
+    def _within(self, chunk: Chunk, start: float, k: int, end: float) -> Bools:
+        """Return the guards (g,) that are true within a step, at neither end."""
+        h, states, solved = chunk.h, chunk.states[k : k + 2], np.tile(chunk.solved[k], (2, 1))
+        times = start + chunk.h * np.array([k, k + 1.0])
+        (a, b), (c, d) = (self._table(times, states, solved, o)[..., 0] for o in (0, 1))
+        straight = np.isnan(c + d) | chunk.struck[k].any()
+        c, d = (np.where(straight, b - a, h * rate) for rate in (c, d))
+        cubics = np.array([2.0 * (a - b) + c + d, 3.0 * (b - a) - 2.0 * c - d, c, a])
+        roots = [np.roots(cubic) for cubic in cubics.T if np.isfinite(cubic).all()]
+        real = np.array([x.real for x in chain(*roots) if x.imag == 0.0])
+        shares = np.sort(np.append(real[(real > _AT_END) & (real < 1.0 - _AT_END)], [0.0, 1.0]))
+        middles = 0.5 * (shares[:-1] + shares[1:])
+        middles = middles[times[0] + middles * h < end]
+        at = np.array([np.polyval(cubics, share) for share in middles]).reshape(-1, len(a))
+        first, last = self._all[k : k + 2]
+        inside = np.where(np.abs(at) <= self._at.zero[k], last, at < 0.0)
+        inside = np.where(self._turned[k], first & last, inside)
+        # The impact may be anywhere in the step.
+        parts = (np.where(self._jumped[k], side, inside) for side in (first, last))
+        rows = np.vstack([first, last, *parts])
+        true = self._guards(rows, np.tile(self._codes[k], (len(rows), 1)))
+        return true[2:].any(axis=0) & ~true[0] & ~true[1]

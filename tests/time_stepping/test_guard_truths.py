@@ -1,0 +1,113 @@
+"""Guards by steps that are true for less than a step, against closed forms."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+import statechart
+from contacts.time_stepping import stepper
+from statechart.documents.yaml_reader import read_text
+
+STEP = 1e-3
+
+# A ball falls for 0.3, passes x = t, and rebounds at 3 E, by steps in the middle of a step.
+BALL = """
+kind: scene
+name: ball
+gravity: 10
+bodies: {b: {mass: 1, start: {y: 0.45, dx: 1}}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0, restitution: E}}
+regions:
+  r:
+    initial: a
+    states: {a: {}, b: {}}
+    transitions: [{name: go, from: a, to: b, guard: "GUARD"}]
+stop: {time: 0.6}
+outputs: {t: {value: time, at: first r.go}}
+"""
+
+
+def by_steps(guard: str, restitution: float, stops: bool) -> tuple[float | None, list[str]]:
+    """Return when a guard or a stop condition fires, and the warnings of it."""
+    text = BALL.replace("E}", f"{restitution}}}").replace("GUARD", "time > 9" if stops else guard)
+    if stops:
+        text = text.replace("0.6}", f"0.6, conditions: {{go: '{guard}'}}}}")
+    run = statechart.run(read_text(text), engine="impulse", step=STEP)
+    jumps = [jump.t for jump in run.trace.jumps if jump.cause in ("go", "stop")]
+    warnings = [re.sub("^r[.]", "", w) for w in run.warnings if "shorter step" in w]
+    return (jumps[0] if jumps else None), warnings
+
+
+@pytest.mark.parametrize("stops", [False, True])
+@pytest.mark.parametrize(
+    ("guard", "restitution", "fires", "warning"),
+    [
+        # The speed is 1.5 from 0.3 on.
+        ("b.dy > 0 and b.x <= 0.3013", 0.5, 0.301, None),
+        ("b.dy > 0 and b.x <= 0.3003", 0.5, None, "within the step of 0.001 at t = 0.3,"),
+        ("b.dy > 0 and b.x <= 0.2993", 0.5, None, None),
+        ("b.dy > 1.6 and b.x <= 0.3013", 0.5, None, None),
+        ("b.dy > 1 and b.dy < -1", 0.5, None, None),
+        # The force is 10 from 0.3 on, and steps know it from 0.304 on.
+        ("c.V >= 5 and b.x <= 0.3045", 0.0, 0.304, None),
+        ("c.V >= 5 and b.x <= 0.3015", 0.0, None, "before t = 0.304,"),
+        ("c.V >= 15 and b.x <= 0.3015", 0.0, None, None),
+        ("c.V >= 5 and b.x <= 0.2995", 0.0, None, None),
+        ("c.V >= 15 or b.x >= 0.55 and b.x > 0.3003", 0.0, 0.55, None),
+        ("c.V >= 5 and b.x >= 0.5003 and b.x <= 0.5007", 0.0, None, "within the step"),
+        ("c.V >= 15 and b.x >= 0.5003 and b.x <= 0.5007", 0.0, None, None),
+    ],
+)
+def test_guards_on_quantities_that_an_impact_changes(
+    guard: str, restitution: float, fires: float | None, warning: str | None, stops: bool
+) -> None:
+    found, warnings = by_steps(guard, restitution, stops)
+    # A stop is located within its step.
+    late = 1.1 * STEP if stops else 1e-9
+    assert found == (None if fires is None else pytest.approx(fires, abs=late))
+    assert len(warnings) == (warning is not None)
+    assert all(w.startswith(f"go is true {warning}") for w in warnings)
+
+
+def test_the_size_of_chunks_changes_no_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    guard = "c.V >= 5 and b.x <= 0.3015"
+    _, expected = by_steps(guard, 0.0, False)
+    monkeypatch.setattr(stepper, "_CHUNK", 1)
+    assert by_steps(guard, 0.0, False) == (None, expected)
+
+
+@pytest.mark.parametrize("height", [0.150501, 0.150502])
+@pytest.mark.parametrize("stops", [False, True])
+def test_steps_warn_of_a_summit_between_their_ends(height: float, stops: bool) -> None:
+    """The ball rises by 1.005^2/20 to 0.15050125, in the middle of a step at 0.1005."""
+    guard = "time > 9" if stops else f"b.y >= {height}"
+    text = BALL.replace("y: 0.45, dx: 1", "y: 0.1, dy: 1.005").replace("GUARD", guard)
+    text = text.replace("E}", "0.5}").replace("time: 0.6", "time: 0.2")
+    if stops:
+        text = text.replace("0.2}", f"0.2, conditions: {{go: b.y >= {height}}}}}")
+    run = statechart.run(read_text(text), engine="impulse", step=STEP)
+    assert not run.trace.jumps or run.trace.jumps[0].cause == "stop"
+    warns = any("go is true within the step of 0.001 at t = 0.1," in w for w in run.warnings)
+    assert warns == (height < 0.15050125)
+
+
+@pytest.mark.parametrize(("lift", "fires"), [(8, 0.0), (12, None)])
+@pytest.mark.parametrize("stops", [False, True])
+def test_accelerations_at_the_start_decide_a_guard_on_its_boundary(
+    lift: float, fires: float | None, stops: bool
+) -> None:
+    """The ball starts at rest on the floor, and is lifted by more or less than its weight."""
+    guard = "time > 9" if stops else "b.y <= 0"
+    text = BALL.replace("y: 0.45, dx: 1", "y: 0").replace("GUARD", guard).replace("E}", "0}")
+    text += f"forces: {{up: {{body: b, force: [0, {lift}]}}}}\n"
+    if stops:
+        text = text.replace("0.6}", "0.6, conditions: {go: b.y <= 0}}")
+    for options in ({"engine": "taylor"}, {"engine": "impulse", "step": STEP}):
+        setting: Any = options
+        run = statechart.run(read_text(text), **setting)
+        times = [jump.t for jump in run.trace.jumps if jump.cause in ("go", "stop")]
+        assert times == ([] if fires is None else [fires])
