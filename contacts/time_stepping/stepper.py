@@ -171,10 +171,12 @@ class SteppedRun:
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
         solved = self._inputs.solved
-        met = self.stops.at_start(self.state, solved, self.recorder, step)
-        if met is not None:
-            self._stop(met)
-            return
+        # As with events, a run of no duration reaches its end time.
+        if until > 0.0:
+            met = self.stops.at_start(self.state, solved, self.recorder, step)
+            if met is not None:
+                self._stop(met)
+                return
         yield True
         if self.control is not None:
             self.state = self.control.turn(self.recorder, (), self.state, solved, step)
@@ -409,6 +411,7 @@ class SteppedRun:
             margins=self.system.margins,
             undetermined=recorder.indeterminate if record is Record.MODES else {},
             record=record,
+            start_unknowns=None if self._inputs.failure else self._inputs.solved,
         )
 
 
