@@ -320,7 +320,7 @@ class Outputs:
 
 
 class OutputAccumulator:
-    """Accumulates the outputs of runs over pieces; the result does not depend on the pieces.
+    """Accumulates the outputs of runs over pieces; pieces change them by round-off alone.
 
     A whole run is one piece, and so are the runs of a batch. Pieces of one run are traces, as
     `statechart.automaton.time_stepper.OutputStream` gets them.
@@ -357,8 +357,8 @@ class OutputAccumulator:
             span[loop.EVENTS_END] - span[loop.EVENTS] + (end[loop.HOW] == loop.STOPPED)
             for span, end in zip(result.spans.tolist(), result.ends.tolist(), strict=True)
         ]
-        runs = np.repeat(np.arange(count), totals)
-        tallies = [np.bincount(runs[one > 0], minlength=count).tolist() for one in marks.T[:-1]]
+        owners = np.repeat(np.arange(count), totals)
+        tallies = [np.bincount(owners[one > 0], minlength=count).tolist() for one in marks.T[:-1]]
         for place, wait in enumerate(outputs.count_waits):
             self._counted[place] = [*map(add, self._counted[place], tallies[wait])]
         for place, column in enumerate(listed.tolist()):
