@@ -352,9 +352,9 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check the `limits` of a scene, in all states that set coefficients; and its polygons."""
     findings = Findings()
     wrong: set[Loc] = set()
-    for loc, text, least, most, words, advice, shown, at in limits(scene):
+    for loc, text, least, most, words, advice, shown, point in limits(scene):
         region = scene.controlled.region_of(text)
-        known = {**values, **at}
+        known = {**values, **point}
         for state, state_values in scene.controlled.values_by_state(text, known, Formula.value):
             with findings:
                 value = value_of(text, state_values, *loc)
