@@ -231,11 +231,12 @@ class BodyStepper(Stepper):
     ) -> tuple[SceneSetup, RigidBodyRun]:
         values, remembered = self._mechanics.parameters.values(overrides)
         known = self._constants.values(overrides)
+        expanded = self._declared.expanded
         if overrides:
-            check_physical(self._declared, known)
+            check_physical(expanded, known)
         placed = self._bodies.starts.at(values, known)
         links = link_numbers(self._bodies.linked, known)
-        bodies = body_numbers(self._declared.expanded, known, self._owners, links)
+        bodies = body_numbers(expanded, known, self._owners, links)
         self._check_inertia(bodies, placed)
         setup = self._setup(values, placed, remembered, bodies)
         defaults = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
