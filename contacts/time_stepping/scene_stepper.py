@@ -572,7 +572,8 @@ def _failure(status: int) -> SingularMode | NonFinite:
     )
 
 
-# Trial step for the initial modes, in the scene's time; a longer one, where no step is declared.
+# Trial step for the initial modes, in the scene's time; factor of the step that follows it, if none
+# is declared.
 _TRIAL, _LONGER = 1e-6, 1e3
 
 
