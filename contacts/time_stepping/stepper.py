@@ -172,11 +172,10 @@ class SteppedRun:
         step, until = self.request.step, self.request.until
         solved = self._inputs.solved
         # As with events, a run of no duration reaches its end time.
-        if until > 0.0:
-            met = self.stops.at_start(self.state, solved, self.recorder, step)
-            if met is not None:
-                self._stop(met)
-                return
+        met = self.stops.at_start(self.state, solved, self.recorder, step) if until else None
+        if met is not None:
+            self._stop(met)
+            return
         yield True
         if self.control is not None:
             self.state = self.control.turn(self.recorder, (), self.state, solved, step)

@@ -105,7 +105,7 @@ def count_periods(document: Document) -> tuple[Document, Mapping[str, Count]]:
     fields |= {part: rewritten(value) for part, value in fields.items() if part not in _NOT_WRAPPED}
     if not regions:
         return document, {}
-    places = {wrap.key: loc for loc, wrap in reversed([*wraps_in(document)])}
+    places = {wrap.key: loc for loc, _, wrap in reversed([*wraps_in(document)])}
     counts = {
         own: _count(own, *key)._replace(period=key[2], loc=places[key])
         for key, own in regions.items()
@@ -155,11 +155,11 @@ def periodic_calls(text: str) -> Iterator[Wrap]:
             yield Wrap(call, *(*parts, "1")[:2])
 
 
-def wraps_in(document: Declaration) -> Iterator[tuple[Loc, Wrap]]:
-    """Yield the calls of `mod` and `floor` of time in a document, with their places."""
+def wraps_in(document: Declaration) -> Iterator[tuple[Loc, str, Wrap]]:
+    """Yield place, text and call of every `mod` and `floor` of time in a document."""
     for loc, text, _ in leaves(document):
         for wrap in periodic_calls(text) if isinstance(text, str) and loc != ("doc",) else ():
-            yield loc, wrap
+            yield loc, text, wrap
 
 
 def check_wrapping(
@@ -169,9 +169,9 @@ def check_wrapping(
 
     `still` are prefixes of the places of formulas that may not jump. Raises `DeclarationProblem`.
     """
-    for loc, wrap in wraps_in(document):
+    for loc, text, wrap in wraps_in(document):
         _check_arguments(document, wrap, loc)
-        check_wrap_periods([(loc, wrap)], values)
+        check_wrap_periods([(loc, text, wrap)], values)
         if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):
             raise DeclarationProblem(
                 f"{wrap.call.function} jumps, and cannot stand in this field",
@@ -180,9 +180,7 @@ def check_wrapping(
                 loc=loc,
                 offset=wrap.call.offset,
             )
-    for loc, text, _ in leaves(document):
-        if loc[0] not in _NOT_WRAPPED and isinstance(text, str):
-            _check_bound(text, loc)
+        _check_bound(text, loc)
 
 
 def _check_bound(text: str, loc: Loc) -> None:
@@ -236,9 +234,9 @@ def _check_arguments(document: Declaration, wrap: Wrap, loc: Loc) -> None:
         )
 
 
-def check_wrap_periods(wraps: Iterable[tuple[Loc, Wrap]], values: Mapping[str, float]) -> None:
+def check_wrap_periods(wraps: Iterable[tuple[Loc, str, Wrap]], values: Mapping[str, float]) -> None:
     """Check that the periods of `wraps_in` are positive; raise `DeclarationProblem`."""
-    for loc, wrap in wraps:
+    for loc, _, wrap in wraps:
         if TIME in parse(wrap.period).names:
             problem = "changes"
         else:

@@ -69,10 +69,8 @@ def write_store(
     )
     if bodies:
         first = first.assign_coords(body=_text(bodies))
-    with (
-        explain_os_errors("write", path, "name a place that is writable"),
-        warnings.catch_warnings(),
-    ):
+    explained = explain_os_errors("write", path, "name a place that is writable")
+    with explained, warnings.catch_warnings():
         # Consolidated metadata are not part of Zarr format 3 yet, but all readers know them.
         warnings.simplefilter("ignore")
         first.to_zarr(path, mode="w-")
