@@ -223,7 +223,7 @@ class BodyStepper(Stepper):
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
         warnings = self._replaced_laws(setup)
-        unknown = np.full(self.stops.unknowns, np.nan)
+        unknown = np.full(len(self._mechanics.solved), np.nan)
         return RunInputs(setup, bodies, free, warnings, self.controls, unknown, failure)
 
     def _new_run(
