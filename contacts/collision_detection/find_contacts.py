@@ -205,13 +205,16 @@ def _update_maximum(points: _Points, what: int, value: float) -> None:
 @kernel
 def _add_passing(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
-    points: _Points,
+    points: _Points, count: int,
 ) -> None:  # fmt: skip
     """Note for which part of the step a piece was in another or a surface that it has passed."""
     p, q, cores, since = pair.p, pair.q, numbers.pieces.cores, times.since
-    core, end, limit = _CORE if pair.slowly else _WHOLE, 0.0, CROSSED * numbers.pieces.cores[p]
+    core, end, gap = _CORE if pair.slowly else _WHOLE, 0.0, math.inf
     if not pair.whole:
-        if times.h * relative_speed(numbers, mid, p, q) <= limit:
+        for at in range(count):
+            gap = min(gap, points.manifold[at, 4])
+        # A piece that has passed a surface is clear of it.
+        if gap < 0.0 or times.h * relative_speed(numbers, mid, p, q) <= CROSSED * cores[p]:
             return
         deep = _GRAZED * cores[p]
     elif not pair.turns and (
@@ -236,7 +239,6 @@ def _pair_points(
     pieces, (manifold, features), p, q = numbers.pieces, points[:2], pair.p, pair.q
     firsts, centres, s = pieces.firsts, mid.centres, q - len(pieces.sizes)
     shape = ConvexShape(mid.world[firsts[p] : firsts[p + 1]], centres[p], pieces.radii[p])
-    _add_passing(numbers, ground, mid, pair, times, points)
     if pair.whole:
         other = ConvexShape(mid.world[firsts[q] : firsts[q + 1]], centres[q], pieces.radii[q])
         count = shape_contacts(shape, other, pair.within, manifold, features)
@@ -245,6 +247,7 @@ def _pair_points(
             numbers.surfaces, s, mid.poses[pair.other], ground, shape, pair.within, manifold,
             features,
         )  # fmt: skip
+    _add_passing(numbers, ground, mid, pair, times, points, count)
     # The depth counts even if internal edges remove all contacts, but not that of compliant ones.
     rigid = numbers.materials[pair.material, STIFFNESS] == 0.0
     for at in range(count if rigid else 0):
