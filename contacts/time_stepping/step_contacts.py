@@ -199,6 +199,9 @@ def find_active(
         closing, reached = h * (slow - (free[0] + bias)), TIME_MARGIN * h * nearing
         # No more than half a step early: bounces within the gap tolerance would sink, not end.
         reached = max(reached, min(scene.gap_tolerance, 0.5 * h * nearing))
+        if memory.closed[i] and level[i] == math.inf:
+            # It has no target gap at the start: rotation until mid-step takes no force.
+            level[i] = gap
         role, level[i], above = contact_role(
             gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.gap_tolerance
         )
