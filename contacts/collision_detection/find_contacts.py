@@ -82,9 +82,8 @@ class CandidatePair(NamedTuple):
     other: int
     key: int  # See `WarmStart`.
     material: int  # Row of the contact law; -1: no contact.
-    # Whether both are pieces; both discs.
-    whole: bool
-    discs: bool
+    whole: bool  # Both are pieces.
+    discs: bool  # Both are discs.
     # Whether pieces move little in the step, so that continuous detection is within its error;
     # whether they turn much.
     slowly: bool

@@ -104,7 +104,7 @@ def _gap_and_cosine(
     (inf, 1) if they are far apart. Bodies are at `mid` at time zero; `buffer` (p, FOUND) is
     overwritten.
     """
-    one, other = numbers.pieces.bodies[pair[0]], numbers.pieces.bodies[pair[1]]
+    one, other = numbers.pieces.bodies[pair[0]], carrier_of(numbers, pair[1])
     fastest = np.abs(mid.old_rates[one]).max() + np.abs(mid.old_rates[other]).max()
     count = _points(numbers, ground, mid, pair, later, 2.0 * abs(later) * fastest, buffer)
     gap, along = math.inf, 1.0 if count == 0 else -1.0

@@ -6,8 +6,9 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from functools import partial
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
@@ -100,7 +101,10 @@ class Controllers:
         key = states, at_events
         if key not in self._guards:
             select = guards_at_events if at_events else guards
-            self._guards[key] = ControlGuards(self._mechanics, self.named(states), select)
+            regions = zip(self.flat.values(), states, strict=True)
+            chosen = (select(place, *region) for place, region in enumerate(regions))
+            watched = [*chain.from_iterable(chosen)]
+            self._guards[key] = ControlGuards(self._mechanics, self.named(states), watched)
         return self._guards[key]
 
     def settle_start(
@@ -192,28 +196,29 @@ class Controllers:
 
 
 class ControlGuards:
-    """Guards of the controllers in given states, and the quantities that they depend on.
+    """Guards in given states of the controllers, and the quantities that they depend on.
 
     Accelerations and contact forces are inputs, solved for when a guard is on its boundary, so
     that no mode is built for them. Accelerations count as constant there. The rates of forces are
-    unknown: a guard on forces waits for its margin to fall.
+    unknown: a guard on forces waits for its margin to fall. `used` are coefficients of friction
+    that are inputs, and constant.
     """
 
     def __init__(
         self,
         mechanics: Mechanics,
         states: Mapping[str, str],
-        select: Callable[[int, FlatRegion, str], list[Guard]],
+        watched: Sequence[Guard],
+        used: Collection[sp.Symbol] = (),
     ) -> None:
-        known = mechanics.values_in(states)
+        values = mechanics.values_in(states)
+        known = {symbol: value for symbol, value in values.items() if symbol not in used}
         memory = mechanics.controller_rates_in(known)
-        watched: list[Guard] = []
-        for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
-            watched += select(place, region, states[name])
         names = set().union(*(guard.relation.names for guard in watched))
         named = {n: e for n, e in mechanics.observables.items() if n in names}
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
+        self.unknowns = (*mechanics.a, *forces, *used)
         # A symbol for each force: the unknown rates of two do not cancel.
         unknown = sp.symbols(f"unknown:{len(forces)}", real=True)
         self.watch = GuardWatch(
@@ -225,7 +230,7 @@ class ControlGuards:
                 **dict(zip(forces, unknown, strict=True)),
                 **memory,
             },
-            inputs=(*mechanics.state, *mechanics.a, *forces, *unknown),
+            inputs=(*mechanics.state, *self.unknowns, *unknown),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
             timers=[
@@ -233,7 +238,7 @@ class ControlGuards:
             ],
             substitutions=known,
         )
-        self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
+        self._unsolved = np.full(len(self.unknowns), np.nan)
         self._unknown = np.full(len(forces), np.nan)
 
     def typical(self, setup: SceneSetup) -> Array:

@@ -349,6 +349,11 @@ class Mechanics(Geometry):
         of_contacts = (force for pair in self.forces.values() for force in pair)
         return (*(row.force for row in self.joint_rows), *of_contacts, *self.couples.values())
 
+    @property
+    def solved(self) -> tuple[sp.Symbol, ...]:
+        """Unknowns of a time step: accelerations, forces, and controls."""
+        return (*self.a, *self.unknown_forces, *self.controls)
+
     @cached_property
     def power(self) -> sp.Expr:
         """Power of the applied forces, gravity excepted, and of joints and surfaces that move."""

@@ -34,7 +34,7 @@ from contacts.rigid_bodies.declared_numbers import (
     touchable_surfaces,
 )
 from contacts.rigid_bodies.default_step import default_step, forced_speed, led_speed
-from contacts.rigid_bodies.initial_penetration import check_penetration
+from contacts.rigid_bodies.initial_penetration import check_containers, check_penetration
 from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
@@ -223,7 +223,7 @@ class BodyStepper(Stepper):
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
         warnings = self._replaced_laws(setup)
-        unknown = np.full(self.stops.unknowns, np.nan)
+        unknown = np.full(len(self._mechanics.solved), np.nan)
         return RunInputs(setup, bodies, free, warnings, self.controls, unknown, failure)
 
     def _new_run(
@@ -231,11 +231,12 @@ class BodyStepper(Stepper):
     ) -> tuple[SceneSetup, RigidBodyRun]:
         values, remembered = self._mechanics.parameters.values(overrides)
         known = self._constants.values(overrides)
+        expanded = self._declared.expanded
         if overrides:
-            check_physical(self._declared, known)
+            check_physical(expanded, known)
         placed = self._bodies.starts.at(values, known)
         links = link_numbers(self._bodies.linked, known)
-        bodies = body_numbers(self._declared.expanded, known, self._owners, links)
+        bodies = body_numbers(expanded, known, self._owners, links)
         self._check_inertia(bodies, placed)
         setup = self._setup(values, placed, remembered, bodies)
         defaults = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
@@ -362,6 +363,7 @@ class BodyStepper(Stepper):
         except DeclarationProblem as problem:
             raise start_problem(scene, problem, known) from None
         bodies = bodies._replace(joints=joints)
+        check_containers(bodies, self._names, self._surfaces, owners, every[0])
 
         def detect(numbers: BodyNumbers, start: Array) -> DetectedContacts:
             return run_of(numbers).detect(start, 0.0, _SOON * length / speed)

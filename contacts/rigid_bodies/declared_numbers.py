@@ -315,8 +315,10 @@ def closed_joints(
                 loc=(*loc, key),
             )
         if open_by[j] > near:
+            at, end = ("({:.6g}, {:.6g})".format(*point) for point in ends[j])
             raise DeclarationProblem(
-                f"joint {name!r} is open at the start: its ends are {open_by[j]:.7g} apart",
+                f"joint {name!r} is open at the start: its point is at {at}, what it is held to at "
+                f"{end}",
                 advice="move the body by ({:.6g}, {:.6g})".format(*across[j]),
                 loc=loc,
             )

@@ -1,4 +1,4 @@
-"""Initial penetration of bodies in each other and in surfaces."""
+"""Initial penetration of bodies in each other and in surfaces; starts outside hollow circles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
-from contacts.rigid_bodies.declared_numbers import rotated, surface_title
+from contacts.rigid_bodies.declared_numbers import rotated
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
@@ -79,9 +79,6 @@ def check_penetration(
     where = deepest_of(b)
     if contacts.is_covered(b):
         b, where, out = _covered(numbers, contacts, names, b, where)
-    kinds = zip(surfaces, numbers.surfaces.kinds.tolist(), strict=True)
-    if where in [surface_title(name) for name, kind in kinds if kind == HOLLOW]:
-        out += "; to touch a circle from outside, remove hollow"
     if len(deep) > _PAIR:
         out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     key = "start"
@@ -92,6 +89,45 @@ def check_penetration(
         advice=out,
         loc=("bodies", owners[b], key),
     )
+
+
+def check_containers(
+    numbers: BodyNumbers,
+    names: Sequence[str],
+    surfaces: Sequence[str],
+    owners: Sequence[str],
+    poses: Array,
+) -> None:
+    """Check that bodies fit into the hollow circles that they collide with, and start in them.
+
+    Compliant contacts allow any depth inside. `poses` (b, 3) are those of all bodies.
+
+    Raises `DeclarationProblem` if a body is too large, or starts outside.
+    """
+    pieces, circles, poses = numbers.pieces, numbers.surfaces, np.vstack([poses, np.zeros(3)])
+    bodies, places = pieces.bodies, poses[pieces.bodies]
+    centres = places[:, :2] + rotated(places[:, 2], pieces.middles)
+    for s in np.flatnonzero(circles.kinds == HOLLOW).tolist():
+        carrier, middle, radius = circles.carriers[s], circles.numbers[s, :2], circles.numbers[s, 2]
+        meets = numbers.laws[numbers.kinds[bodies], len(numbers.laws) + s] >= 0
+        meets &= (bodies != carrier) & (bodies < len(numbers.inverse))
+        centre = poses[carrier, :2] + rotated(poses[carrier, 2], middle)
+        inside = np.hypot(*(centres - centre).T) < radius
+        for p in np.flatnonzero(meets & (pieces.cores > radius))[:1].tolist():
+            raise DeclarationProblem(
+                f"body {names[bodies[p]]!r} does not fit into {surfaces[s]!r}: it reaches "
+                f"{pieces.cores[p]:.6g} around its centre, and the circle has a radius of "
+                f"{radius:.6g}",
+                advice="make the circle larger, or the body smaller",
+                loc=("bodies", owners[bodies[p]], "shape"),
+            )
+        for b in np.setdiff1d(bodies[meets], bodies[inside])[:1].tolist():
+            raise DeclarationProblem(
+                f"body {names[b]!r} starts outside the hollow circle {surfaces[s]!r}",
+                advice=f"place it within {radius:.6g} of ({centre[0]:.6g}, {centre[1]:.6g}); to "
+                "touch a circle from outside, remove hollow",
+                loc=("bodies", owners[b], "start" if b < numbers.free else "position"),
+            )
 
 
 def _check_copies(

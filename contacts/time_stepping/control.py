@@ -65,10 +65,6 @@ class StepControl:
         self._mechanics = mechanics
         self._queues = EventQueues(regions, controllers.flat)
         self._active = ActiveStates(regions)
-        n, r = len(mechanics.q), len(mechanics.joint_rows)
-        c = 2 * len(mechanics.scene.contacts) + len(mechanics.scene.couplings)
-        # Guards read the forces of joints after those of contacts and couplings.
-        self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = states
         self._begun = False
         self._truths = self._new_truths()
@@ -93,7 +89,7 @@ class StepControl:
         if not len(chunk.codes):
             return chunk, False
         shown = recorder.recorded_modes(chunk)
-        fires, _ = self._truths.take(chunk, start, np.vstack([recorder.row, shown]))
+        fires, begins = self._truths.take(chunk, start, np.vstack([recorder.row, shown]))
         may_act: Bools = np.any(fires, axis=1)
         if self._queues.waits(self.states):
             may_act |= recorder.changes(chunk)
@@ -102,7 +98,7 @@ class StepControl:
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
         # Guards that became true at the instant of a moved surface wait for its impact.
         waiting = self._became_true if self._strikes else set[tuple[int, int]]()
-        self._became_true = waiting | self._chosen(fires[end])
+        self._became_true = waiting | self._chosen(begins[end])
         if end == len(may_act) - 1:
             return chunk, acts
         self._scene.forget()
@@ -351,17 +347,8 @@ class StepControl:
 
     def _new_truths(self) -> StepTruths:
         """Return the guards of the present states."""
-        guards, states = self._states.guards(self.states), self.states
-        setup, unknowns = self._setup, self._order
-        return StepTruths(
-            guards.watch,
-            lambda times, rows, solved, order: guards.table(
-                setup, times, rows, solved[:, unknowns], order=order
-            ),
-            setup.rounded,
-            len(self._mechanics.q),
-            lambda codes: self._active.at(codes, states),
-        )
+        guards = self._states.guards(self.states)
+        return StepTruths(self._mechanics, self._setup, self._active, guards, self.states)
 
     def _chosen(self, which: Bools) -> set[tuple[int, int]]:
         """Return some of the guards of the present states, by region and trigger."""
@@ -373,7 +360,7 @@ class StepControl:
     ) -> set[tuple[int, int]]:
         """Return the event guards that hold at the end of a step."""
         guards = self._states.guards(self.states, at_events=True)
-        rows = guards.table(self._setup, times, states, solved[:, self._order])[0]
+        rows = guards.table(self._setup, times, states, solved[:, self._truths.order])[0]
         active = self._active.at(codes, self.states)
         return guards.watch.holding(rows, self._setup.rounded, lambda *of: bool(active(*of)[0]))
 

@@ -18,19 +18,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from contacts.dynamics.controllers import ControlGuards
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup
 from contacts.states import STATES
 from contacts.time_stepping.chunk import Chunk
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Key
-from statechart.charts.guard_watch import GuardWatch
 
 # Part of a step within which a guard counts as true at its end: times are rounded.
 _AT_END = 1e-6
-
-Table = Callable[[Array, Array, Array, int], Array]
-"""Times (m,), states (m, w), unknowns (m, u), order of a time derivative -> margins, or their
-derivatives, and sizes of terms (m, a, 2)."""
 
 
 class ActiveStates:
@@ -65,29 +63,42 @@ class _Ends(NamedTuple):
 
 
 class StepTruths:
-    """Guards of a watch in consecutive steps, in given states of controllers.
-
-    The first `coordinates` variables are coordinates; `active`: see `ActiveStates.at`.
-    """
+    """Guards in consecutive steps, in given states of controllers."""
 
     def __init__(
         self,
-        watch: GuardWatch,
-        table: Table,
-        rounded: float,
-        coordinates: int,
-        active: Callable[[Ints], Callable[[str, str], Bools]],
+        mechanics: Mechanics,
+        setup: SceneSetup,
+        regions: ActiveStates,
+        guards: ControlGuards,
+        states: Key,
     ) -> None:
-        self._watch, self._table, self._rounded = watch, table, rounded
-        self._n, self._active = coordinates, active
-        count = len(watch.margins)
+        self._setup, self._regions, self._n = setup, regions, len(mechanics.q)
+        solved = mechanics.solved
+        # Places of the unknowns of guards among those of steps.
+        self.order = [solved.index(symbol) for symbol in guards.unknowns]
+        self.enter(guards, states)
+        count = len(guards.watch.margins)
         # Atoms at the end of the last step, and those at zero there and a step before.
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
         self._start = np.full((1, count), np.nan)
         # In the last steps that do not know forces: atoms on these, other atoms that were true, and
         # guards that were true but for the first.
         self._forced, self._known = np.zeros((2, count), np.bool_)
-        self._hidden = np.zeros(len(watch.guards), np.bool_)
+        self._hidden = np.zeros(len(self._watch.guards), np.bool_)
+
+    def enter(self, guards: ControlGuards, states: Key) -> None:
+        """Continue with the same guards in other states of controllers."""
+        self._controlled, self._watch, self._states = guards, guards.watch, states
+
+    def table(self, times: Array, states: Array, solved: Array, order: int = 0) -> Array:
+        """Return margins, or time derivatives, and sizes of terms (m, a, 2) for m instants."""
+        unknowns = solved[:, self.order]
+        return self._controlled.table(self._setup, times, states, unknowns, order=order)
+
+    def active(self, codes: Ints) -> Callable[[str, str], Bools]:
+        """Return `ActiveStates.at` in the present states of controllers."""
+        return self._regions.at(codes, self._states)
 
     def at(
         self, time: float, state: Array, solved: Array, h: float, codes: Ints
@@ -97,7 +108,7 @@ class StepTruths:
         Atoms that become false within a step make no guard due.
         """
         ends = self._ends(np.array([time]), state[None], solved[None], h, self._zero[:1])
-        self._last, self._start = ends.true, ends.margins
+        self._last, self._start, self._zero[1:] = ends.true, ends.margins, ends.near
         unknown = np.isnan(ends.margins)
         rows = np.vstack([ends.due, ends.true, ends.true | unknown])
         due, true, possible = self._guards(rows, np.tile(codes, (3, 1)))
@@ -107,7 +118,7 @@ class StepTruths:
         return due, true
 
     def take(self, chunk: Chunk, start: float, codes: Ints) -> tuple[Bools, Bools]:
-        """Return the guards (m, g) that fire at the ends of steps, and those that are true there.
+        """Return the guards (m, g) that fire at the ends of steps, and those that become true.
 
         The regions have modes `codes` (m + 1, r) at the start and the ends.
         """
@@ -124,14 +135,14 @@ class StepTruths:
             at = np.tile(start + hit * chunk.h + delay, 2), np.vstack([*sides])
             solved = np.tile(chunk.solved[hit], (2, 1))
             (left, right), (fall, rise) = (
-                np.split(self._table(*at, solved, order)[..., 0], 2) for order in (0, 1)
+                np.split(self.table(*at, solved, order)[..., 0], 2) for order in (0, 1)
             )
             self._turned[hit] = (fall < 0.0) & (rise > 0.0)
             self._jumped[hit] = (left < 0.0) != (right < 0.0)
         true = self._guards(self._all, codes)
         lasting = ends.true & (self._all[:-1] | ~self._turned)
         begins = self._guards(lasting, self._codes) & ~true[:-1]
-        return self._guards(ends.due, self._codes) | begins, true[1:]
+        return self._guards(ends.due, self._codes) | begins, begins
 
     def undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name.
@@ -163,10 +174,11 @@ class StepTruths:
         for k in np.flatnonzero(self._crossed(chunk)).tolist():
             for i in np.flatnonzero(self._within(chunk, start, k, end)).tolist():
                 name = self._watch.guards[i].name
-                found[name] = (
+                found.setdefault(
+                    name,
                     f"{name} is true within the step of {chunk.h:g} at t = "
                     f"{start + k * chunk.h:.6g}, at neither end: steps pass over it; use a "
-                    "shorter step"
+                    "shorter step",
                 )
         atoms, codes = self._all[1 : count + 1], self._codes[:count]
         unknown = np.isnan(self._at.margins[:count])
@@ -179,14 +191,15 @@ class StepTruths:
                     self._forced |= unknown[k]
                     self._known |= atoms[k]
                 else:
-                    # What the forces are now they were in the steps that do not know them.
+                    # Assume the present forces for the steps with unknown forces.
                     rows = np.where(self._forced, atoms[k : k + 1], self._known)
                     [was] = self._guards(rows, codes[k : k + 1])
                     for i in np.flatnonzero(self._hidden & was & ~true[k]).tolist():
                         name = self._watch.guards[i].name
-                        found[name] = (
+                        found.setdefault(
+                            name,
                             f"{name} is true before t = {start + (k + 1) * chunk.h:.6g}, in steps "
-                            f"of {chunk.h:g} that do not know its forces; use a shorter step"
+                            f"of {chunk.h:g} that do not know its forces; use a shorter step",
                         )
                     self._hidden[:] = self._forced[:] = self._known[:] = False
         self._zero = np.vstack([self._zero[1:], self._at.near[:count]])[-2:]
@@ -195,14 +208,14 @@ class StepTruths:
 
     def _ends(self, times: Array, states: Array, solved: Array, h: float, zero: Bools) -> _Ends:
         """Return the atoms at the ends of steps; `zero` (1, a) were at zero a step before."""
-        margin, size = np.moveaxis(self._table(times, states, solved, 0), -1, 0)
-        rate, second = (self._table(times, states, solved, order)[..., 0] for order in (1, 2))
+        margin, size = np.moveaxis(self.table(times, states, solved, 0), -1, 0)
+        rate, second = (self.table(times, states, solved, order)[..., 0] for order in (1, 2))
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
         true: Bools = margin + _AT_END * h * falling < 0.0
         # A margin that has just come to zero was braked, and need not cross: a strict guard waits
         # until it leaves zero. Times do cross.
-        least = self._rounded * size
+        least = self._setup.rounded * size
         near = ~self._watch.timed & (np.abs(margin) <= least)
         rises = (h * rate > least) | ((h * rate >= -least) & (h * h * second > least))
         # The rates of forces are unknown: they stay if they were zero a step ago.
@@ -212,7 +225,7 @@ class StepTruths:
 
     def _guards(self, atoms: Bools, codes: Ints) -> Bools:
         """Return the guards (m, g) that are true, from their atoms (m, a) and modes (m, r)."""
-        return self._watch.truths(atoms, self._active(codes))
+        return self._watch.truths(atoms, self.active(codes))
 
     def _crossed(self, chunk: Chunk) -> Bools:
         """Return the steps (m,) in which atoms cross zero in turn, or one there and back."""
@@ -232,7 +245,7 @@ class StepTruths:
         """Return the guards (g,) that are true within a step, at neither end."""
         h, states, solved = chunk.h, chunk.states[k : k + 2], np.tile(chunk.solved[k], (2, 1))
         times = start + chunk.h * np.array([k, k + 1.0])
-        (a, b), (c, d) = (self._table(times, states, solved, o)[..., 0] for o in (0, 1))
+        (a, b), (c, d) = (self.table(times, states, solved, o)[..., 0] for o in (0, 1))
         straight = np.isnan(c + d) | chunk.struck[k].any()
         c, d = (np.where(straight, b - a, h * rate) for rate in (c, d))
         cubics = np.array([2.0 * (a - b) + c + d, 3.0 * (b - a) - 2.0 * c - d, c, a])

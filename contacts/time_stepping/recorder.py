@@ -75,6 +75,7 @@ class Recorder:
         self._keys: dict[bytes, Key] = {}
         self.row, self._sticking = self.start, bool(self.sticks.any())
         self._raw = self.start
+        self._last: Chunk | None = None  # The last step; None after a jump of coordinates or rates.
         self.chatter = Chatter(self.regions, self.gated, self.start)
         self.key = self._key(self.start)
         self.start_key = self.key
@@ -127,7 +128,7 @@ class Recorder:
         if shared:
             self._note_shared(chunk.shared[first:])
         self._flow(steps, done, len(shown), 0)
-        self._raw = chunk.modes[-1]
+        self._raw, self._last = chunk.modes[-1], chunk.after(len(shown) - 1)
         if self._size > _LONGEST:
             self.close()
 
@@ -163,6 +164,9 @@ class Recorder:
         Afterwards the regions `moved` have these modes; the impulses are those of the `Jump`.
         """
         self.close()
+        before, after = states
+        if np.any((before != after)[: 2 * self.coordinates]):
+            self._last = None
         self.row, self._raw = self.row.copy(), self._raw.copy()
         for i, code in moved.items():
             self.row[i] = self._raw[i] = code
@@ -218,7 +222,8 @@ class Recorder:
         """Return the recorded modes: a slip lasts to the end of the step in which it stops.
 
         An impact that stops a slip ends it at once. A region that closes without an impact slips in
-        the step in which it closes, unless it lands level: it rests from its landing on.
+        the step in which it closes, unless it lands with a slip of first order in the step: it
+        rests from its landing on.
         """
         codes = chunk.modes
         if not self._sticking:
@@ -229,15 +234,14 @@ class Recorder:
         shown = np.where(rests & slid & self.sticks & ~in_impact, before, codes)
         closes = (rests | np.isin(codes, SLIPS)) & np.isin(before, _OPEN)
         closes &= self.sticks & ~in_impact
-        level = np.isin(self.row, [*RESTS]) & np.isin(self._raw, SLIPS)
-        resting = [(0, i) for i in np.flatnonzero(level).tolist()]
+        settling = np.isin(self.row, [*RESTS]) & np.isin(self._raw, SLIPS)
+        resting = [(0, i) for i in np.flatnonzero(settling).tolist()]
         for k in np.flatnonzero(closes.any(axis=1)).tolist():
             time = self.clock.high + k * chunk.h
             slips = self.slips(chunk.states[k], time)
-            errors = np.zeros_like(slips)
-            if k > 0 and not chunk.struck[k - 1].any():
-                ends = chunk.states[k - 1 : k + 1]
-                errors = self.slip_errors(ends, (time - chunk.h, time), before[k])
+            errors, last = np.zeros_like(slips), chunk.first(k).after(k - 1) if k else self._last
+            if last is not None and not last.struck.any():
+                errors = self.slip_errors(last.states, (time - last.h, time), before[k])
             level, moves = np.abs(slips) < errors, np.abs(slips) > self.still
             resting += [(k, i) for i in np.flatnonzero(closes[k] & level).tolist()]
             for i in np.flatnonzero(closes[k] & rests[k] & moves & ~level).tolist():

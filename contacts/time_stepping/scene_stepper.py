@@ -587,7 +587,8 @@ def _failure(status: int) -> SingularMode | NonFinite:
     )
 
 
-# Trial step for the initial modes, in the scene's time; a longer one, where no step is declared.
+# Trial step for the initial modes, in the scene's time; factor of the step that follows it, if none
+# is declared.
 _TRIAL, _LONGER = 1e-6, 1e3
 
 
@@ -710,15 +711,19 @@ class SceneStepper(Stepper):
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
         slips = slow & (first.struck[0] | ((codes == PIN) & ~sticks))
         codes = np.where(slips, slides, np.where(first.struck[0], FREE, codes))
-        # A taut rope without tension bears from the next steps on.
+        # Contacts without a load are closed if they bear in the first step, or, as a taut rope, in
+        # the next steps.
         idle = slow & (np.abs(measured[:, 0]) <= near) & ~off & (codes == FREE)
         if idle.any():
-            later = new_trial()
-            later.keep(idle, setup.initial)
+            touches, idle, later = idle, np.zeros_like(off), new_trial()
+            later.keep(touches, setup.initial)
             with suppress(SimulationError):  # of the first steps of the run
                 steps = later.steps(0.0, step or _LONGER * h, setup.initial, HOLDING + 1)
-                idle &= ~np.any((steps.modes == FREE) | steps.struck, axis=0)
+                idle = touches & ~np.any((steps.modes == FREE) | steps.struck, axis=0)
                 codes = np.where(idle, steps.modes[0], codes)
+                if np.any(touches & ~idle):
+                    soon = new_trial().steps(0.0, step or _LONGER * h, setup.initial, 1)
+                    codes = np.where(touches & ~idle & ~soon.struck[0], soon.modes[0], codes)
         if sliding.any() and try_step(sliding)[1].stats[0, CHOSEN]:
             warnings.append(f"at the start {INDETERMINATE}")
         if trial.filled:

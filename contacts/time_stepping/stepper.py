@@ -55,7 +55,7 @@ from contacts.time_stepping.step_rejection import (
     too_large,
     without_limit,
 )
-from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
+from contacts.time_stepping.stop_conditions import StopConditions, StopGuards
 from statechart import interrupts
 from statechart.arrays import EPS, Array, Bools, Ints
 from statechart.automaton.regions import Region
@@ -91,7 +91,7 @@ class RunInputs(NamedTuple):
     codes: Ints  # (r,): initial modes, codes of `contacts.states`.
     warnings: tuple[str, ...]  # Besides those of the setup.
     controls: Key  # Initial states of controllers.
-    solved: Array  # (u,): unknowns at the start, NaN if no step tells them.
+    solved: Array  # (u,): unknowns at the start, NaN if unknown.
     failure: SimulationError | None = None  # Why no step can be taken.
     # Changes values of parameters and returns the setup; None if unsupported.
     change: Callable[[Mapping[str, float]], SceneSetup] | None = None
@@ -137,7 +137,7 @@ class SteppedRun:
             self.setup.residual_slip,
             records or (watch is not None and watch.events),
         )
-        self.stops = StopConditions(stepper.stops, self.setup)
+        self.stops = StopConditions(stepper.stops, self.setup, inputs.controls)
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
@@ -447,8 +447,7 @@ class Stepper(ABC):
         joints = (f"{row.joint}.{row.component}" for row in mechanics.joint_rows)
         self.joint_forces = (*joints, *(f"{name}.M" for name in turning))
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
-        unknowns = (*mechanics.a, *mechanics.unknown_forces, *mechanics.controls)
-        self.stops = StopTapes(mechanics, unknowns, regions)
+        self.stops = StopGuards(mechanics, controllers, regions)
         self.energy: Tape = mechanics.tape([mechanics.energy])
 
     def _reads_motion(self, name: str) -> bool:
@@ -500,7 +499,8 @@ class Stepper(ABC):
             changed = sampling.control(Sample(run.time, mode, state))
             if changed:
                 parameters |= changed
-                run.stops = StopConditions(self.stops, inputs.change(parameters))
+                setup = inputs.change(parameters)
+                run.stops = StopConditions(self.stops, setup, inputs.controls)
         recorder.close()
         yield from fresh()
         trace = run.trace()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import sympy as sp
 
+from contacts.dynamics.controllers import ControlGuards, Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.chunk import Chunk
@@ -16,33 +16,29 @@ from contacts.time_stepping.recorder import Recorder
 from statechart.arrays import Array
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Arc, Key
-from statechart.charts.guard_watch import Guard, GuardWatch
+from statechart.charts.guard_watch import Guard
 from statechart.formulas.relation import parse_relation
 
 
-class StopTapes:
-    """Stop conditions over variables and unknowns, watched as guards are."""
+class StopGuards:
+    """Stop conditions, watched as guards are."""
 
     def __init__(
-        self, mechanics: Mechanics, unknowns: Sequence[sp.Symbol], regions: Sequence[Region]
+        self, mechanics: Mechanics, controllers: Controllers, regions: Sequence[Region]
     ) -> None:
         texts = mechanics.scene.stop.conditions
-        self.names, self.unknowns = tuple(texts), len(unknowns)
-        self.watch = GuardWatch(
-            [
-                Guard(k, name, parse_relation(text), 0)
-                for k, (name, text) in enumerate(texts.items())
-            ],
-            lambda guard: guard.relation.condition(mechanics.observables),
-            {
-                **dict(zip(mechanics.q, mechanics.v, strict=True)),
-                **dict(zip(mechanics.v, mechanics.a, strict=True)),
-            },
-            inputs=(*mechanics.state, *unknowns),
-            parameters=mechanics.parameters.ordered,
-            time=mechanics.time,
-        )
-        self.active, self.coordinates = ActiveStates(regions), len(mechanics.q)
+        self.names, self.active, self.mechanics = tuple(texts), ActiveStates(regions), mechanics
+        self._controllers, self._built = controllers, dict[Key, ControlGuards]()
+        self._watched = [
+            Guard(k, name, parse_relation(text), 0) for k, (name, text) in enumerate(texts.items())
+        ]
+
+    def within(self, states: Key) -> ControlGuards:
+        """Return the conditions in states of the controllers."""
+        if states not in self._built:
+            named, used = self._controllers.named(states), self.mechanics.used_friction.values()
+            self._built[states] = ControlGuards(self.mechanics, named, self._watched, used)
+        return self._built[states]
 
 
 # Bisections of a step.
@@ -52,16 +48,12 @@ _BISECTIONS = 60
 class StopConditions:
     """The stop conditions of a run."""
 
-    def __init__(self, tapes: StopTapes, setup: SceneSetup) -> None:
-        self._tapes, self._setup, self._watch = tapes, setup, tapes.watch
-        assert setup.sizes is not None
-        self._sizes = np.concatenate([setup.sizes, setup.scales.solved(tapes.unknowns)])
+    def __init__(self, guards: StopGuards, setup: SceneSetup, states: Key) -> None:
+        self._guards = guards
         self._truths = StepTruths(
-            self._watch, self._table, setup.rounded, tapes.coordinates,
-            lambda codes: tapes.active.at(codes, self._controls),
-        )  # fmt: skip
-        self._controls: Key = ()
-        # Conditions (k, s) that hold at the ends of the last steps; modes where one was met.
+            guards.mechanics, setup, guards.active, guards.within(states), states
+        )
+        # Conditions (k, s) that fire at the ends of the last steps; modes where one was met.
         self._met, self._codes = np.zeros((0, 0), np.bool_), np.zeros((1, 0), int)
         # Condition -> warning that it is true for less than a step.
         self._spans = dict[str, str]()
@@ -73,19 +65,18 @@ class StopConditions:
 
     def at_start(self, state: Array, solved: Array, recorder: Recorder, h: float) -> int | None:
         """Return the condition that holds at the start, with these unknowns, if any."""
-        self._controls = recorder.controls
         _, true = self._truths.at(0.0, state, solved, h, recorder.start)
         return int(np.argmax(true)) if true.any() else None
 
     def take(self, chunk: Chunk, start: float, recorder: Recorder) -> None:
         """Evaluate the conditions in steps."""
-        if not self._tapes.names:
+        if not self._guards.names:
             return
-        self._controls = recorder.controls
-        self._met = self._truths.take(chunk, start, np.vstack([recorder.row, chunk.codes]))[1]
+        self._truths.enter(self._guards.within(recorder.controls), recorder.controls)
+        self._met, _ = self._truths.take(chunk, start, np.vstack([recorder.row, chunk.codes]))
 
     def first_met(self, chunk: Chunk) -> tuple[int, int] | None:
-        """Return (step, condition) of the first condition that holds at the end of a step."""
+        """Return (step, condition) of the first condition that fires at the end of a step."""
         met = self._met[: len(chunk.codes)]
         if not met.any():
             return None
@@ -95,17 +86,12 @@ class StopConditions:
 
     def first_undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a condition has no value, and its name."""
-        return self._truths.undefined(chunk) if self._tapes.names else None
+        return self._truths.undefined(chunk) if self._guards.names else None
 
     def accept(self, chunk: Chunk, start: float, end: float) -> None:
         """Continue after steps, the first of those taken last, until the run is at `end`."""
-        if self._tapes.names:
+        if self._guards.names:
             self._spans = self._truths.accept(chunk, start, end) | self._spans
-
-    def _table(self, times: Array, states: Array, solved: Array, order: int = 0) -> Array:
-        """Return the margins of the atoms, or derivatives, and the sizes of terms (k, a, 2)."""
-        rows = np.hstack([states, solved])
-        return self._watch.table(self._setup, rows, self._sizes, times, order=order)
 
     def locate(self, recorder: Recorder, condition: int) -> Array:
         """Cut the recorded run where a condition is met in its last step; return that state."""
@@ -136,7 +122,9 @@ class StopConditions:
         unknowns = arc.unknowns(at)
         assert unknowns is not None
         time = np.array([arc.start.later(local).high])
-        margins = self._table(time, arc.states(at), unknowns)[0, :, 0]
-        active = self._tapes.active.at(self._codes, self._controls)
-        stop, first = self._watch.conditions[condition], self._watch.firsts[condition]
+        states = arc.mode[self._codes.shape[1] :]
+        self._truths.enter(self._guards.within(states), states)
+        margins = self._truths.table(time, arc.states(at), unknowns)[0, :, 0]
+        active = self._truths.active(self._codes)
+        _, stop, first = self._guards.within(states).watch.placed[condition]
         return stop.margin(margins[first:].tolist(), lambda *of: bool(active(*of)[0]))

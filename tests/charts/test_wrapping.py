@@ -203,7 +203,17 @@ def test_formulas_that_are_not_periodic_are_refused(path: str, message: str) -> 
 @pytest.mark.parametrize("period", [0.0, -1.0])
 def test_a_period_given_for_a_run_is_refused_at_its_place(period: float) -> None:
     moved = SAW.replace("X", '"mod(time, T)"').replace("Y", "0")
-    places = {f"kind: scene\n{moved}": "displacement.0", f"kind: chart\n{FLOWS}": "flows.x"}
+    steps = "settings: {engine: impulse, step: 0.01}\n"
+    shape = "ball: {mass: 1, inertia: 1, shape: {disc: 1}, start: {y: 1}}"
+    shapes = moved[: moved.index("contacts:")].replace("ball: {mass: 1}", shape) + (
+        "collisions: {all: {bodies: [ball], surfaces: [table], friction: mu, restitution: 0}}\n"
+    )
+    places = {
+        f"kind: scene\n{moved}": "displacement.0",
+        f"kind: scene\n{moved}{steps}": "displacement.0",
+        f"kind: scene\n{shapes}{steps}": "displacement.0",
+        f"kind: chart\n{FLOWS}": "flows.x",
+    }
     for text, place in places.items():
         problem = re.escape(f"{place}: the period of mod is {period:g} (with T = {period:g})")
         with pytest.raises(DeclarationError, match=problem):

@@ -356,17 +356,32 @@ def test_transformed_scenes_have_transformed_runs(change):
 
 
 @pytest.mark.parametrize(
-    ("starts", "words"),
+    ("starts", "circle", "words"),
     [
-        ({"disc": at(0.0, 2.0)}, "'disc' starts 1.05 deep in surface 'drum'; move it by"),
-        ({"disc": at(0.0, 0.0), "box": at(0.0, 2.0)}, "'box' starts .* deep in surface 'drum'"),
-        ({"disc": "x: 0"}, "0.01 deep in surface 'drum'; no small move frees it"),
+        ({"disc": at(0.0, 2.0)}, "1", "'disc' starts outside .* 'drum'; .* 1 of .*remove hollow"),
+        ({"disc": "", "box": at(0.0, 2.0)}, "1", "'box' starts outside .*; .*remove hollow"),
+        ({"disc": at(0.0, 0.0)}, "1, displacement: [0, 2]", r"'disc' .* of \(0, 2\); .*hollow"),
+        ({"disc": "x: 0"}, "0.04", "'disc' does not fit into 'drum': .*0.04; .*circle larger"),
     ],
 )
-def test_drum_bodies_must_start_inside(starts, words):
-    radius = 0.04 if "no small move" in words else 1
-    text = scene(starts, {"drum": f"circle: [0, 0], radius: {radius}, hollow: true"})
-    with pytest.raises(DeclarationError, match=f"{words}.* remove hollow"):
+@pytest.mark.parametrize("law", ["restitution: 0", "stiffness: 10000, damping: 10"])
+def test_drum_bodies_must_start_inside(starts, circle, words, law):
+    text = scene(starts, {"drum": f"circle: [0, 0], radius: {circle}, hollow: true"})
+    with pytest.raises(DeclarationError, match=words):
+        Runner(interpret(read_text(text.replace("restitution: 0.0", law)))).run()
+
+
+def test_a_body_placed_by_a_coordinate_must_start_inside():
+    text = scene({"disc": "x: 0"}, {"drum": "circle: [0, 0], radius: 1, hollow: true"})
+    text = text.replace("inertia: r**2, ", "").replace("start: {x: 0}", "position: [s, 0]")
+    text += "coordinates: {s: {start: 2}}\n"
+    with pytest.raises(DeclarationError, match=r"disc\.position: body 'disc' starts outside"):
+        Runner(interpret(read_text(text))).run()
+
+
+def test_drum_bodies_over_the_rim_move_inwards():
+    text = scene({"disc": at(0.0, 0.97)}, {"drum": "circle: [0, 0], radius: 1, hollow: true"})
+    with pytest.raises(DeclarationError, match=r"move it by \(0, -0.02\) out$"):
         Runner(interpret(read_text(text))).run()
 
 

@@ -73,11 +73,22 @@ def test_guards_on_quantities_that_an_impact_changes(
     assert all(w.startswith(f"go is true {warning}") for w in warnings)
 
 
-def test_the_size_of_chunks_changes_no_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    guard = "c.V >= 5 and b.x <= 0.3015"
-    _, expected = by_steps(guard, 0.0, False)
-    monkeypatch.setattr(stepper, "_CHUNK", 1)
-    assert by_steps(guard, 0.0, False) == (None, expected)
+@pytest.mark.parametrize(
+    ("guard", "when"),
+    [
+        ("c.V >= 5 and b.x <= 0.3015", "before t = 0.304,"),
+        # It is true about x = (pi/2 + 2 pi k)/(40 pi) for less than a step: 0.0125, 0.0625, ...
+        ("sin(40*pi*b.x) > 0.999 and b.y > -9", "at t = 0.012,"),
+    ],
+)
+def test_the_size_of_chunks_changes_no_warning(
+    guard: str, when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for size in (512, 64, 1):
+        monkeypatch.setattr(stepper, "_CHUNK", size)
+        fires, (warning,) = by_steps(guard, 0.0, False)
+        assert fires is None
+        assert when in warning
 
 
 @pytest.mark.parametrize("height", [0.150501, 0.150502])
@@ -111,3 +122,56 @@ def test_accelerations_at_the_start_decide_a_guard_on_its_boundary(
         run = statechart.run(read_text(text), **setting)
         times = [jump.t for jump in run.trace.jumps if jump.cause in ("go", "stop")]
         assert times == ([] if fires is None else [fires])
+
+
+@pytest.mark.parametrize("stops", [False, True])
+@pytest.mark.parametrize(
+    ("start", "flow", "guard", "fires", "passes"),
+    [
+        (1.0, "-1", "z >= 1", None, False),  # It leaves its bound at once.
+        (1.0, "1", "z > 1", 0.0, False),
+        # z = 0.1 + 0.1005 t - t^2/2 has its summit in the middle of a step, at 0.105050125.
+        (0.1, "0.1005 - time", "z > 0.10505012", None, True),
+        (0.1, "0.1005 - time", "z > 0.10505013", None, False),
+    ],
+)
+def test_rates_of_variables_of_controllers_decide_guards(
+    start: float, flow: str, guard: str, fires: float | None, passes: bool, stops: bool
+) -> None:
+    text = BALL.replace("E}", "0}").replace(
+        "initial: a", f"variables: {{z: {start}}}\n    initial: a"
+    )
+    text = text.replace("{a: {},", f"{{a: {{flows: {{z: {flow}}}}},").replace("0.6}", "0.2}")
+    text = text.replace("GUARD", "time > 9" if stops else guard)
+    if stops:
+        text = text.replace("0.2}", f"0.2, conditions: {{go: '{guard}'}}}}")
+    run = statechart.run(read_text(text), engine="impulse", step=STEP)
+    times = [jump.t for jump in run.trace.jumps if jump.cause in ("go", "stop")]
+    assert times == ([] if fires is None else pytest.approx([fires], abs=1.1 * STEP))
+    warns = [w for w in run.warnings if "go is true within the step of 0.001 at t = 0.1," in w]
+    assert len(warns) == passes
+
+
+@pytest.mark.parametrize("stops", [False, True])
+@pytest.mark.parametrize(
+    ("start", "restitution", "guard", "fires"),
+    [
+        # The depth of a landing is of the step.
+        ("y: 0.45, dx: 1", 0.5, "b.y < 0", None),
+        # A force on its bound is known from the start on.
+        ("y: 0, dx: 1", 0.0, "c.V <= 10", 0.0),
+        ("y: 0, dx: 1", 0.0, "c.V < 10", None),
+    ],
+)
+def test_stops_and_transitions_fire_alike_with_events_and_by_steps(
+    start: str, restitution: float, guard: str, fires: float | None, stops: bool
+) -> None:
+    text = BALL.replace("y: 0.45, dx: 1", start).replace("E}", f"{restitution}}}")
+    text = text.replace("GUARD", "time > 9" if stops else guard)
+    if stops:
+        text = text.replace("0.6}", f"0.6, conditions: {{go: '{guard}'}}}}")
+    for options in ({"engine": "taylor"}, {"engine": "impulse", "step": STEP}):
+        setting: Any = options
+        run = statechart.run(read_text(text), **setting)
+        times = [jump.t for jump in run.trace.jumps if jump.cause in ("go", "stop")]
+        assert times == ([] if fires is None else pytest.approx([fires], abs=1.1 * STEP))

@@ -91,7 +91,7 @@ def test_a_guard_on_a_control_that_saturates_between_steps(
 def test_a_guard_on_a_force_fires_where_steps_know_it_first(
     start: str, limit: float, first: float
 ) -> None:
-    """The guard is true before, where steps do not know the force, and false a step later."""
+    """The guard is false a step later; in a landing, steps know the force later than it acts."""
     text = _WATCH.format(force="0", guard=f"c.V >= 5 and b.x <= {limit}")
     text += _CONTACT.replace("mass: 1", f"mass: 1, start: {{{start}}}")
     text = text.replace("friction: 0.5", "friction: 0")

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from contacts.time_stepping import stepper
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
@@ -201,10 +202,16 @@ stop: {time: 0.4}
 """
 
 
-@pytest.mark.parametrize("step", [0.0, 1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize(
+    ("step", "size"),
+    [(0.0, 512), (1e-3, 512), (1e-3, 8), (1e-3, 1), (1e-4, 512), (1e-5, 512)],
+)
 @pytest.mark.parametrize(("low", "lands"), [(0.0, "pin"), (0.02, "slide-")])
-def test_a_foot_that_lands_level_with_a_pinned_foot_has_no_slip(step, low, lands):
+def test_a_foot_that_lands_level_with_a_pinned_foot_has_no_slip(
+    step, size, low, lands, monkeypatch
+):
     """The slip of a foot about the other is the rate of turn times the difference of heights."""
+    monkeypatch.setattr(stepper, "_CHUNK", size)
     text = LANDING + (f"settings: {{engine: impulse, step: {step}}}" if step else "")
     jumps = Runner(interpret(read_text(text))).run({"low": low}).trace.jumps
     assert next(jump.target[1] for jump in jumps if jump.target[1] != "free") == lands

@@ -103,3 +103,28 @@ def test_a_rope_that_nothing_tightens_starts_free() -> None:
     text = LEVEL_ROPE.replace("gravity: 10", "gravity: 0")
     trace = trace_of(text, 1e-3)
     assert (trace.start_mode, len(trace.jumps)) == (("free",), 0)
+
+
+PRESSED = """
+kind: scene
+name: pressed
+bodies: {b: {mass: 1}}
+surfaces: {floor: {height: 0}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.3, restitution: LAW}}
+forces: {f: {body: b, force: [0.1, "5*time*(400*time - 1)"]}}
+stop: {time: 0.05}
+"""
+
+
+@ENGINES
+@pytest.mark.parametrize("law", ["0", "0.5", "0, impact: moreau"])
+def test_a_contact_whose_load_begins_at_zero_is_closed_until_it_lifts(
+    law: str, engine: str | float
+) -> None:
+    """The floor bears 5 t (1 - 400 t), for less than three steps of 1e-3."""
+    trace = trace_of(PRESSED.replace("LAW", law), engine)
+    assert trace.start_mode == ("slide+",)
+    (lift,) = trace.jumps
+    assert lift.cause == "liftoff"
+    near = 1e-9 if isinstance(engine, str) else engine
+    assert lift.t == pytest.approx(0.0025, abs=near)
