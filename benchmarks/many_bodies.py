@@ -1,11 +1,11 @@
-"""Many bodies: time and exactness by the tolerance of impulses, beside others; and random heaps.
+"""Run time and residual of impulses of many bodies, compared with other engines; random heaps.
 
-Same discs, same step, one process, one core: the mean over gravities that differ by parts of 1e-6,
-since the motion of discs, and what it costs, is chaotic: one of two programs alike may take a fifth
-longer in a motion, and less in the next. Of others what is installed is measured:
-Box2D 3, pymunk and MuJoCo (`pip install "contact-statecharts[bench]"`), each in a process of its
-own. They give no impulses of contacts that this measures alike, so that their exactness is not
-reported; of all the deepest overlap is, at the end, and how high the highest disc then is.
+All engines run the same discs with the same step, in one process on one core. The motion of discs
+is chaotic, and its cost varies by a fifth between nearly equal runs: times are means over gravities
+that differ by 1e-6 relatively. Box2D 3, pymunk and MuJoCo are measured if they are installed
+(`pip install "contact-statecharts[bench]"`), each in its own process. They do not give the impulses
+of contacts, so that their residuals are not reported. For every engine the table shows the largest
+penetration at the end, and the height of the highest disc.
 
 python benchmarks/many_bodies.py [--discs 100] [--dice 10 40] [--heaps 1000] [--memory 3000]
     [--repeats 10]

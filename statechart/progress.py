@@ -9,7 +9,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-class Bar:
+class Display:
     """Progress on stderr: a bar on a terminal, which `close` removes, elsewhere lines."""
 
     def __init__(self, total: float) -> None:
@@ -53,7 +53,7 @@ def count_items(items: Iterable[T], total: int, words: str) -> Iterator[T]:
     if not possible():
         yield from items
         return
-    bar = Bar(total)
+    bar = Display(total)
     try:
         for done, item in enumerate(items):
             bar.show(done, words)

@@ -205,13 +205,16 @@ def _update_maximum(points: _Points, what: int, value: float) -> None:
 @kernel
 def _add_passing(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
-    points: _Points,
+    points: _Points, count: int,
 ) -> None:  # fmt: skip
     """Note for which part of the step a piece was in another or a surface that it has passed."""
     p, q, cores, since = pair.p, pair.q, numbers.pieces.cores, times.since
-    core, end, limit = _CORE if pair.slowly else _WHOLE, 0.0, CROSSED * numbers.pieces.cores[p]
+    core, end, gap = _CORE if pair.slowly else _WHOLE, 0.0, math.inf
     if not pair.whole:
-        if times.h * relative_speed(numbers, mid, p, q) <= limit:
+        for at in range(count):
+            gap = min(gap, points.manifold[at, 4])
+        # A piece that has passed a surface is clear of it.
+        if gap < 0.0 or times.h * relative_speed(numbers, mid, p, q) <= CROSSED * cores[p]:
             return
         deep = _GRAZED * cores[p]
     elif not pair.turns and (
@@ -236,7 +239,6 @@ def _pair_points(
     pieces, (manifold, features), p, q = numbers.pieces, points[:2], pair.p, pair.q
     firsts, centres, s = pieces.firsts, mid.centres, q - len(pieces.sizes)
     shape = ConvexShape(mid.world[firsts[p] : firsts[p + 1]], centres[p], pieces.radii[p])
-    _add_passing(numbers, ground, mid, pair, times, points)
     if pair.whole:
         other = ConvexShape(mid.world[firsts[q] : firsts[q + 1]], centres[q], pieces.radii[q])
         count = shape_contacts(shape, other, pair.within, manifold, features)
@@ -245,6 +247,7 @@ def _pair_points(
             numbers.surfaces, s, mid.poses[pair.other], ground, shape, pair.within, manifold,
             features,
         )  # fmt: skip
+    _add_passing(numbers, ground, mid, pair, times, points, count)
     # The depth counts even if internal edges remove all contacts, but not that of compliant ones.
     rigid = numbers.materials[pair.material, STIFFNESS] == 0.0
     for at in range(count if rigid else 0):
@@ -289,31 +292,27 @@ def _drop_ghost_contacts(
 
 
 @kernel
-def _will_strike(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
-    point: Array, nearing: float, certain: bool, points: _Points,
-) -> bool:  # fmt: skip
-    """Return whether a fast, near pair collides; it may pass the other body.
+def _discs_pass(numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, h: float) -> bool:
+    """Return whether two discs in straight motion do not touch in a step."""
+    radii = numbers.pieces.radii
+    apart = radii[pair.p] + radii[pair.q]
+    return overlap_interval(mid.centres, mid.drifts, pair.p, pair.q, apart)[0] > h
 
-    A `certain` pair was near at the last detection, or is slow.
-    """
-    h, nx, ny, gap = times.h, point[0], point[1], point[4]
-    if gap > 0.0 and pair.discs:
-        radii = numbers.pieces.radii
-        apart = radii[pair.p] + radii[pair.q]
-        touch, _ = overlap_interval(mid.centres, mid.drifts, pair.p, pair.q, apart)
-        if touch > h:
-            return False
-    if certain:
-        return True
+
+@kernel
+def _will_strike(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, point: Array,
+    nearing: float, h: float, points: _Points,
+) -> bool:  # fmt: skip
+    """Return whether a fast, near pair collides in a step; it may pass the other body."""
+    gap, pieces = point[4], (pair.p, pair.q)
     if pair.turns and gap > 0.0:
-        until = (0.5 + TIME_MARGIN) * h
-        pieces, near = (pair.p, pair.q), ARRIVED * gap
+        until, near = (0.5 + TIME_MARGIN) * h, ARRIVED * gap
         touch = time_of_impact(numbers, ground, mid, pieces, 0.0, until, near, points.buffer)
         return touch < math.inf
-    meets, crossed = will_collide(
-        numbers, ground, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.buffer
-    )
+    # At its arrival other corners and edges of a fast body can be the nearest.
+    later = max(gap / nearing, -h)
+    meets, crossed = will_collide(numbers, ground, mid, pieces, point, later, points.buffer)
     _update_maximum(points, PASSED, crossed)
     return meets
 
@@ -409,9 +408,11 @@ def _write_if_active(
     # The impact is in the step whose middle is nearest to the touch.
     closing, reached = h * (slow - active.free[m, 0]), (0.5 + TIME_MARGIN) * h * nearing
     role, level, above = contact_role(gap, level, lasting, nearing, slow, closing, reached, 0.0)
+    # A pair that was near at the last detection, or is slow, does not pass.
     certain = known or pair.slowly
-    if role == HIT and not _will_strike(
-        numbers, ground, mid, pair, times, point, nearing, certain, points
+    if role == HIT and (
+        (gap > 0.0 and pair.discs and _discs_pass(numbers, mid, pair, h))
+        or not (certain or _will_strike(numbers, ground, mid, pair, point, nearing, h, points))
     ):
         role = SEPARATED
     if gap < 0.0 and -nearing > slow and not certain:

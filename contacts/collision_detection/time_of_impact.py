@@ -155,14 +155,14 @@ def time_of_impact(
 
 @kernel
 def will_collide(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int],
-    normal: tuple[float, float], gap: float, nearing: float, h: float, buffer: Array,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], point: Array,
+    later: float, buffer: Array,
 ) -> tuple[bool, float]:  # fmt: skip
-    """Return whether fast bodies touch, and for which part of the step they crossed.
+    """Return whether fast bodies touch `later`, and for which part of the step they crossed.
 
-    At its arrival other corners and edges of a fast body can be the nearest.
+    `point`: their nearest points now, see `contacts.collision_detection.convex.shape_contacts`.
     """
-    later = max(gap / nearing, -h)
+    normal, gap = (point[0], point[1]), point[4]
     arrived, along = _gap_and_cosine(numbers, ground, mid, pair, later, normal, buffer)
     if gap > 0.0 and not arrived <= ARRIVED * gap:
         return False, 0.0

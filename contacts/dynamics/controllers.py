@@ -6,7 +6,7 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from functools import partial
 from itertools import chain
 from typing import TypeVar
@@ -200,8 +200,7 @@ class ControlGuards:
 
     Accelerations and contact forces are inputs, solved for when a guard is on its boundary, so
     that no mode is built for them. Accelerations count as constant there. The rates of forces are
-    unknown: a guard on forces waits for its margin to fall. `used` are coefficients of friction
-    that are inputs, and constant.
+    unknown: a guard on forces waits for its margin to fall.
     """
 
     def __init__(
@@ -209,16 +208,14 @@ class ControlGuards:
         mechanics: Mechanics,
         states: Mapping[str, str],
         watched: Sequence[Guard],
-        used: Collection[sp.Symbol] = (),
     ) -> None:
-        values = mechanics.values_in(states)
-        known = {symbol: value for symbol, value in values.items() if symbol not in used}
+        known = mechanics.values_in(states)
         memory = mechanics.controller_rates_in(known)
         names = set().union(*(guard.relation.names for guard in watched))
         named = {n: e for n, e in mechanics.observables.items() if n in names}
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
-        self.unknowns = (*mechanics.a, *forces, *used)
+        self.unknowns = (*mechanics.a, *forces)
         # A symbol for each force: the unknown rates of two do not cancel.
         unknown = sp.symbols(f"unknown:{len(forces)}", real=True)
         self.watch = GuardWatch(

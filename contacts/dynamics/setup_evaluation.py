@@ -113,7 +113,7 @@ class SceneNumbers:
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
         if all(scene.controlled.region_of(limit.text) is None for limit in varying):
             bounded = [
-                mechanics.formula(limit.text, **{n: sp.Float(s) for n, s in limit.slips.items()})
+                mechanics.formula(limit.text, **{n: sp.Float(s) for n, s in limit.at.items()})
                 for limit in varying
             ]
             if not any(expression.has(sp.oo) for expression in bounded):

@@ -225,7 +225,7 @@ class Limit(NamedTuple):
     words: str = "must be zero or positive, not {:g}"
     advice: str = ""
     shown: tuple[FormulaText, ...] = ()  # Formulas whose values the message gives, if not its own
-    slips: Mapping[str, float] = MappingProxyType({})  # Names of the slip -> its value
+    at: Mapping[str, float] = MappingProxyType({})  # Slip or time -> value where it is checked
 
 
 _MAX_NUMBER = sys.float_info.max
@@ -275,8 +275,8 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                     bounds, advice = (0.0, _MAX_NUMBER, "must be zero or positive, not {:g}"), ""
             rope = name.removesuffix(reach_of(""))
             at = ("surfaces", name, "radius") if rope == name else ("joints", rope, "rope")
-            now = {TIME: 0.0} if TIME in parse(surface.radius).names else {}
-            yield Limit(at, surface.radius, *bounds, advice, slips=now)
+            start = {TIME: 0.0} if TIME in parse(surface.radius).names else {}
+            yield Limit(at, surface.radius, *bounds, advice, at=start)
         if surface.incline is not None:
             yield Limit(("surfaces", name, "incline"), surface.incline, *_INCLINES)
     for name, contact in scene.contacts.items():
@@ -332,10 +332,10 @@ def _friction_limits(
     for side in (1.0, -1.0) if law.varies else (1.0,):
         slips = dict.fromkeys(law.slips, side * AT_REST)
         if not isinstance(friction, Friction):
-            yield Limit(loc, law.kinetic, 0.0, math.inf, slips=slips)
+            yield Limit(loc, law.kinetic, 0.0, math.inf, at=slips)
             continue
-        yield Limit((*loc, "static"), law.static, 0.0, math.inf, slips=slips)
-        yield Limit((*loc, "kinetic"), law.kinetic, 0.0, math.inf, slips=slips)
+        yield Limit((*loc, "static"), law.static, 0.0, math.inf, at=slips)
+        yield Limit((*loc, "kinetic"), law.kinetic, 0.0, math.inf, at=slips)
         yield Limit(
             loc,
             f"({law.static}) - ({law.kinetic})",
@@ -352,9 +352,9 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check the `limits` of a scene, in all states that set coefficients; and its polygons."""
     findings = Findings()
     wrong: set[Loc] = set()
-    for loc, text, least, most, words, advice, shown, slips in limits(scene):
+    for loc, text, least, most, words, advice, shown, point in limits(scene):
         region = scene.controlled.region_of(text)
-        known = {**values, **slips}
+        known = {**values, **point}
         for state, state_values in scene.controlled.values_by_state(text, known, Formula.value):
             with findings:
                 value = value_of(text, state_values, *loc)

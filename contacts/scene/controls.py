@@ -67,7 +67,7 @@ class Controller(ControlRegion):
 
     @property
     def count(self) -> Count | None:
-        """What the region counts, if it counts periods."""
+        """The count of periods, or None."""
         return self._count
 
     @classmethod

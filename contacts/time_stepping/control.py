@@ -129,12 +129,14 @@ class StepControl:
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._queues.pending_after(pending, jump)
+        failed = set[tuple[int, int]]()
         if not self._begun:
             self._begun = True
+            # No guard was true before the start.
+            failed = {(g.place, g.trigger) for g in self._states.guards(self.states).watch.guards}
             state = self._states.enter_initial_states(
                 self._setup, recorder.clock, state, self.states
             )
-        failed = set[tuple[int, int]]()
         for _ in range(_MOST_TURNS):
             watch = self._states.guards(self.states).watch
             at_end = time, state[None], unknowns, recorder.row[None]

@@ -1,8 +1,9 @@
 """Truth of guards in time steps: of transitions of controllers, and of stop conditions.
 
-A guard fires at the end of a step in which it becomes true and still is, or at which it is true and
-not about to become false by itself. A quantity that stays on its boundary for a step, as the slip
-of a sticking contact does, is zero up to round-off: `<=` and `>=` hold, `<` and `>` do not.
+A guard fires at the start if it is true there, and at the end of a step in which it becomes true
+and still is, or at which it is true and not about to become false by itself. A quantity that stays
+on its boundary for a step, as the slip of a sticking contact does, is zero up to round-off: `<=`
+and `>=` hold, `<` and `>` do not.
 
 Within a step margins are interpolated, by cubics (Hermite), or linearly in steps with impacts and
 where a rate is unknown: a warning names a guard that is true there, at neither end. An impact may

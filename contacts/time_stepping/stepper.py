@@ -171,7 +171,8 @@ class SteppedRun:
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
         solved = self._inputs.solved
-        met = self.stops.at_start(self.state, solved, self.recorder, step)
+        # As with events, a run of no duration reaches its end time.
+        met = self.stops.at_start(self.state, solved, self.recorder, step) if until else None
         if met is not None:
             self._stop(met)
             return
@@ -409,6 +410,7 @@ class SteppedRun:
             margins=self.system.margins,
             undetermined=recorder.indeterminate if record is Record.MODES else {},
             record=record,
+            start_unknowns=None if self._inputs.failure else self._inputs.solved,
         )
 
 

@@ -36,8 +36,8 @@ class StopGuards:
     def within(self, states: Key) -> ControlGuards:
         """Return the conditions in states of the controllers."""
         if states not in self._built:
-            named, used = self._controllers.named(states), self.mechanics.used_friction.values()
-            self._built[states] = ControlGuards(self.mechanics, named, self._watched, used)
+            named = self._controllers.named(states)
+            self._built[states] = ControlGuards(self.mechanics, named, self._watched)
         return self._built[states]
 
 

@@ -206,7 +206,7 @@ class CompiledLaws(Protocol):
 
     @property
     def series(self) -> tuple[tuple[str, str], ...]:
-        """Regions and causes of its jumps (see `statechart.execution.zeno`)."""
+        """Regions and causes of jumps that may accumulate (see `statechart.execution.zeno`)."""
 
     @property
     def setup(self) -> Callable[[Mapping[str, float], float], Setup]:
@@ -242,7 +242,7 @@ class CompiledLaws(Protocol):
         """Return calls of the loop.
 
         They have the `loop`, whether it `starts` runs from values of parameters, and the `series`
-        of the jumps of the last started run. `inputs(names, table)` returns the first four of
+        of the last started run. `inputs(names, table)` returns the first four of
         `statechart.execution.compiled_loop.BatchInputs` for values (m, p).
         `start(rows, block, found)` computes runs, and returns their number when the block is full;
         `resume(setup, floor, block, found, series)` continues a run.

@@ -278,6 +278,8 @@ class Trace:
         Recording: with poses `regions` are the controllers, with nothing there are none.
     outputs : mapping or None
         Declared outputs, if computed during the run.
+    start_unknowns : (u,) array or None
+        Unknowns and controls in the first mode of time steps.
     """
 
     name: str
@@ -306,6 +308,7 @@ class Trace:
     motion: Motion | None = None
     record: Record = Record.MODES
     outputs: Mapping[str, Any] | None = None
+    start_unknowns: Array | None = None
     passed_roles: Mapping[int, Roles] = field(default_factory=dict)
 
     @property

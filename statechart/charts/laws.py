@@ -44,7 +44,7 @@ from statechart.charts.guard_watch import (
     values_after,
 )
 from statechart.charts.transitions import check_periods
-from statechart.charts.wrapping import check_wrapping
+from statechart.charts.wrapping import check_wrap_periods, wraps_in
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, StatechartError, Unsupported, Zeno
@@ -89,6 +89,7 @@ class _Symbols:
 
     def __init__(self, chart: Chart, declared: Chart) -> None:
         self.chart, self.declared, timers = chart, declared, chart.clocks
+        self.wraps = (*wraps_in(declared),)
         starts = {**chart.variables, **dict.fromkeys(timers, 0)}
         self.variables = {name: sp.Symbol(f"v{i}", real=True) for i, name in enumerate(starts)}
         self.rates = {name: sp.Symbol(f"r{i}", real=True) for i, name in enumerate(starts)}
@@ -114,7 +115,7 @@ class _Symbols:
         values, initial = self.parameters.values(overrides)
         if overrides:
             chart, known = self.declared, self.declared.values(overrides)
-            check_wrapping(chart, known)
+            check_wrap_periods(self.wraps, known)
             check_periods(chart.regions, chart.parameters, chart.variables, known)
         for name, value in zip(self.variables, initial, strict=True):
             if not np.isfinite(value):

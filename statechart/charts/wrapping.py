@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
@@ -105,11 +105,7 @@ def count_periods(document: Document) -> tuple[Document, Mapping[str, Count]]:
     fields |= {part: rewritten(value) for part, value in fields.items() if part not in _NOT_WRAPPED}
     if not regions:
         return document, {}
-    places = {
-        wrap.key: loc
-        for loc, text, _ in reversed([*leaves(document)])
-        for wrap in (periodic_calls(text) if isinstance(text, str) else ())
-    }
+    places = {wrap.key: loc for loc, _, wrap in reversed([*wraps_in(document)])}
     counts = {
         own: _count(own, *key)._replace(period=key[2], loc=places[key])
         for key, own in regions.items()
@@ -159,6 +155,13 @@ def periodic_calls(text: str) -> Iterator[Wrap]:
             yield Wrap(call, *(*parts, "1")[:2])
 
 
+def wraps_in(document: Declaration) -> Iterator[tuple[Loc, str, Wrap]]:
+    """Yield place, text and call of every `mod` and `floor` of time in a document."""
+    for loc, text, _ in leaves(document):
+        for wrap in periodic_calls(text) if isinstance(text, str) and loc != ("doc",) else ():
+            yield loc, text, wrap
+
+
 def check_wrapping(
     document: Declaration, values: Mapping[str, float], still: Collection[Loc] = ()
 ) -> None:
@@ -166,20 +169,18 @@ def check_wrapping(
 
     `still` are prefixes of the places of formulas that may not jump. Raises `DeclarationProblem`.
     """
-    for loc, text, _ in leaves(document):
-        for wrap in periodic_calls(text) if isinstance(text, str) and loc != ("doc",) else ():
-            call = wrap.call
-            _check(document, wrap, loc, values)
-            if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):
-                raise DeclarationProblem(
-                    f"{call.function} jumps, and cannot stand in this field",
-                    advice="write it in paths of surfaces and led bodies, flows, forces, controls, "
-                    "guards, or enabled",
-                    loc=loc,
-                    offset=call.offset,
-                )
-        if loc[0] not in _NOT_WRAPPED and isinstance(text, str):
-            _check_bound(text, loc)
+    for loc, text, wrap in wraps_in(document):
+        _check_arguments(document, wrap, loc)
+        check_wrap_periods([(loc, text, wrap)], values)
+        if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):
+            raise DeclarationProblem(
+                f"{wrap.call.function} jumps, and cannot stand in this field",
+                advice="write it in paths of surfaces and led bodies, flows, forces, controls, "
+                "guards, or enabled",
+                loc=loc,
+                offset=wrap.call.offset,
+            )
+        _check_bound(text, loc)
 
 
 def _check_bound(text: str, loc: Loc) -> None:
@@ -218,7 +219,7 @@ def _check_bound(text: str, loc: Loc) -> None:
             )
 
 
-def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, float]) -> None:
+def _check_arguments(document: Declaration, wrap: Wrap, loc: Loc) -> None:
     call, function = wrap.call, wrap.call.function
     used = {name.name for name in names_in(call)}
     others = sorted(used - {TIME, *document.parameters})
@@ -231,15 +232,20 @@ def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, flo
             loc=loc,
             offset=call.offset,
         )
-    if TIME in parse(wrap.period).names:
-        problem = "changes"
-    else:
-        found = value_of(wrap.period, values, *loc)
-        problem = "" if 0.0 < found < math.inf else f"is {found:g}"
-    if problem:
-        raise DeclarationProblem(
-            f"the period of {function} {problem}",
-            advice=WRAP_ADVICE,
-            loc=loc,
-            offset=call.offset,
-        )
+
+
+def check_wrap_periods(wraps: Iterable[tuple[Loc, str, Wrap]], values: Mapping[str, float]) -> None:
+    """Check that the periods of `wraps_in` are positive; raise `DeclarationProblem`."""
+    for loc, _, wrap in wraps:
+        if TIME in parse(wrap.period).names:
+            problem = "changes"
+        else:
+            found = value_of(wrap.period, values, *loc)
+            problem = "" if 0.0 < found < math.inf else f"is {found:g}"
+        if problem:
+            raise DeclarationProblem(
+                f"the period of {wrap.call.function} {problem}",
+                advice=WRAP_ADVICE,
+                loc=loc,
+                offset=wrap.call.offset,
+            )

@@ -11,7 +11,7 @@ from statechart.diagram.legend import Guards
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Diagram, printable
 from statechart.diagram.scxml import scxml
-from statechart.documents.files import write_atomic, writing
+from statechart.documents.files import explain_os_errors, write_atomic
 from statechart.errors import StatechartError
 
 SUFFIXES = (".svg", ".png", ".pdf", ".dot", ".mmd", ".scxml", ".graphml")
@@ -27,7 +27,7 @@ def write(diagram: Diagram, path: Path, guards: Guards = "legend") -> None:
         )
     if not path.parent.is_dir():
         raise StatechartError(f"cannot write {str(path)!r}: there is no folder {path.parent}")
-    with writing(repr(str(path))):
+    with explain_os_errors("write", repr(str(path))):
         write_atomic(path, _data(diagram, suffix, guards))
 
 

@@ -60,8 +60,8 @@ def write_atomic(path: Path, data: bytes) -> None:
 
 
 @contextmanager
-def writing(path: Path | str, advice: str = "", verb: str = "write") -> Iterator[None]:
-    """Raise `StatechartError` with `advice` for an `OSError` while a file is written or read."""
+def explain_os_errors(verb: str, path: Path | str, advice: str = "") -> Iterator[None]:
+    """Raise `StatechartError` with `advice` for an `OSError`: "cannot `verb` `path`"."""
     try:
         yield
     except OSError as error:

@@ -107,7 +107,7 @@ class Batch(NamedTuple):
     kinds: tuple[Kind, ...]  # Kinds of the modes.
     modes: LoopModes
     zeros: frozenset[int]  # Indices of the parameters that are exactly zero.
-    series: Array  # (s, ..): of the jumps of the last run, see `statechart.execution.zeno`.
+    series: Array  # (s, ..): of the last run, of `CompiledLaws.series`.
 
     @property
     def stopped(self) -> Bools:
@@ -151,13 +151,13 @@ class _CompilationPolicy:
 class LoopModes:
     """Modes of a simulator for one set of zero parameters, as a growing `ModeTable`.
 
-    `kinds` are the modes and roles of its rows, `compiled` those that were added, `jumps` the
-    regions and causes of its jumps.
+    `kinds` are the modes and roles of its rows, `compiled` those that were added, `series`
+    those of `CompiledLaws`.
     """
 
     def __init__(self, laws: CompiledLaws, engine: Engine, automaton: Automaton) -> None:
         self.kinds: list[Kind] = []
-        self.jumps = laws.series
+        self.series = laws.series
         self.laws, self._engine, self._automaton = laws, engine, automaton
         self._watched: dict[Kind, Tape] = {}
         self.compiled: dict[Kind, CompiledMode] = {}

@@ -80,7 +80,7 @@ class Execution:
         self.horizon = min(self.setup.horizon, FARTHEST)
         self.evaluations = self.engine.evaluations
         self._progress = Progress(self.until)
-        self.accumulation = Accumulation(() if self.loop is None else self.loop.jumps)
+        self.accumulation = Accumulation(() if self.loop is None else self.loop.series)
         if self.batch_start is not None:
             self.accumulation.series = self.batch_start.series.copy()
         self._boundary: Crossing | None = None  # where the rates end
@@ -576,6 +576,8 @@ class Execution:
 
     def _skip(self, jump: Jump) -> None:
         pair, flowed = (jump.region, jump.cause), bool(jump.fired)
+        if self.loop is not None and pair not in self.loop.series:
+            return  # It cannot accumulate, and compiled code does not count it.
         remaining = self.accumulation.watch(pair, self.clock, self.setup.short, flowed=flowed)
         if remaining is not None:
             self._skip_by(remaining)

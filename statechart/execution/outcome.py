@@ -23,12 +23,12 @@ class Progress:
     def __init__(self, until: float) -> None:
         self._until = until
         self._began = self._shown = working_time()
-        self._bar: progress.Bar | None = None
+        self._display: progress.Display | None = None
 
     def show(self, time: float, jumps: int, steps: int) -> None:
         """Report the progress at intervals."""
         now = working_time()
-        bar = self._bar
+        bar = self._display
         if now - self._shown < (_MOVES if bar is not None and bar.drawn else _PROGRESS_AFTER):
             return
         self._shown = now
@@ -37,14 +37,14 @@ class Progress:
             f"{pluralise(steps, 'step')}, "
             f"{now - self._began:.0f} s"
         )
-        self._bar = self._bar or progress.Bar(self._until)
-        self._bar.show(time, text)
+        self._display = self._display or progress.Display(self._until)
+        self._display.show(time, text)
 
     def close(self) -> None:
         """End the report."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        if self._display is not None:
+            self._display.close()
+            self._display = None
 
 
 def error_of(trace: Trace) -> SimulationError:

@@ -16,7 +16,7 @@ from statechart.automaton.trace import Jump, Trace
 _WINDOW = (0.5, 1.001)
 _MAX_PASSED_OVER = 64  # jumps
 
-_what = attrgetter("region", "cause", "source", "target")
+_what, _what_ends = attrgetter("region", "cause", "source", "target"), attrgetter("cause", "target")
 
 
 class Event(NamedTuple):
@@ -27,10 +27,8 @@ class Event(NamedTuple):
 
     def matches(self, other: Event) -> bool:
         """Return whether two events are the same; ends of sequences may be of other regions."""
-        one, another = self.jump, other.jump
-        if self.ends and other.ends:
-            return one.target == another.target
-        return _what(one) == _what(another)
+        same = _what_ends if self.ends else _what
+        return self.ends == other.ends and bool(same(self.jump) == same(other.jump))
 
     @property
     def numbers(self) -> Array:

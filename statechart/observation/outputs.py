@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Ints
 from statechart.automaton.regions import Mode, has_happened
 from statechart.automaton.trace import Arc, Jump, Key, Trace
-from statechart.automaton.trace_store import Kind, TraceBuffer, TraceStore, trace_buffer
+from statechart.automaton.trace_store import Kind, TraceBuffer, trace_buffer
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
 from statechart.engines.compiled_flow import TAPE
 from statechart.execution import compiled_loop as loop
@@ -91,7 +91,7 @@ class Outputs:
         # Data of a jump that determine its marks -> marks.
         self._marked: dict[tuple[Any, ...], tuple[int, ...]] = {}
         # By zero parameters: kinds of modes, and tapes (also by number of kinds).
-        self.kinds: dict[frozenset[int], list[Kind]] = {}
+        self.numbers: dict[frozenset[int], dict[Kind, int]] = {}
         self._verdicts: dict[frozenset[int], dict[tuple[Any, ...], tuple[int, ...]]] = {}
         self._tapes: dict[tuple[bool, frozenset[int], int], OutputTapes] = {}
         self._entry: Callable[..., None] | None = None
@@ -320,7 +320,7 @@ class Outputs:
 
 
 class OutputAccumulator:
-    """Accumulates the outputs of runs over pieces; the result does not depend on the pieces.
+    """Accumulates the outputs of runs over pieces; pieces change them by round-off alone.
 
     A whole run is one piece, and so are the runs of a batch. Pieces of one run are traces, as
     `statechart.automaton.time_stepper.OutputStream` gets them.
@@ -357,8 +357,8 @@ class OutputAccumulator:
             span[loop.EVENTS_END] - span[loop.EVENTS] + (end[loop.HOW] == loop.STOPPED)
             for span, end in zip(result.spans.tolist(), result.ends.tolist(), strict=True)
         ]
-        runs = np.repeat(np.arange(count), totals)
-        tallies = [np.bincount(runs[one > 0], minlength=count).tolist() for one in marks.T[:-1]]
+        owners = np.repeat(np.arange(count), totals)
+        tallies = [np.bincount(owners[one > 0], minlength=count).tolist() for one in marks.T[:-1]]
         for place, wait in enumerate(outputs.count_waits):
             self._counted[place] = [*map(add, self._counted[place], tallies[wait])]
         for place, column in enumerate(listed.tolist()):
@@ -451,14 +451,20 @@ class OutputAccumulator:
             terms = [np.pad(one, ((0, 0), (0, width), (0, 0))) for one in terms]
             for arc, one in zip(arcs, terms, strict=True):
                 one[:, len(trace.variables) :, 0] = arc.solved
-        kinds, variables = outputs.kinds.setdefault(trace.zeros, []), states.shape[1]
-        times, sizes = sum([len(arc.times) for arc in arcs]), sum([one.size for one in terms])
-        block = trace_buffer(variables, (len(arcs), times, sizes, len(jumps)))
-        store = TraceStore(variables, kinds, block, None)
-        for arc, one in zip(arcs, terms, strict=True):
-            store.add_arc(arc.mode, arc.roles if by_roles else (), arc.start, arc.times, one)
+        numbers, variables = outputs.numbers.setdefault(trace.zeros, {}), states.shape[1]
         roles = points.roles() if by_roles else [()] * len(instants)
-        places = [store.kind(one.mode, own) for one, own in zip(instants, roles, strict=True)]
+        kinds = [(arc.mode, arc.roles if by_roles else ()) for arc in arcs]
+        kinds += [(one.mode, own) for one, own in zip(instants, roles, strict=True)]
+        places = [numbers.setdefault(kind, len(numbers)) for kind in kinds]
+        sizes = [(len(arc.times), one.size) for arc, one in zip(arcs, terms, strict=True)]
+        (times, size), count = np.sum([(0, 0), *sizes], axis=0).tolist(), len(arcs)
+        block = trace_buffer(variables, (count, times, size, len(jumps)))
+        block.arcs[:, 0], places = places[:count], places[count:]
+        block.arcs[:, 2:] = np.reshape([one.shape[::2] for one in terms], (count, 2))
+        block.places[:] = np.cumsum([(0, 0), *sizes], axis=0)[:-1]
+        block.starts[:] = np.reshape([arc.start for arc in arcs], (count, 2))
+        np.concatenate([*(arc.times for arc in arcs), ()], out=block.times)
+        np.concatenate([*map(np.ravel, terms), ()], out=block.coefficients)
         block.events[:, [SOURCE, TARGET]] = np.reshape(places[1:-1], (len(jumps), 2))
         block.numbers[:, TIME] = points.times[1:-1:2]
         block.states[:] = states[1:-1].reshape(block.states.shape)
@@ -466,10 +472,10 @@ class OutputAccumulator:
         found.values[0], found.initial[0], found.final[0] = trace.values, states[0], states[-1]
         found.clock[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, len(jumps))
         # The last kind has no formulas, so that other pieces add nothing.
-        found.ends[0, loop.FIRST_MODE] = len(kinds) if self.started else places[0]
-        found.place[0, loop.N_MODE] = places[-1] if ended else len(kinds)
+        found.ends[0, loop.FIRST_MODE] = len(numbers) if self.started else places[0]
+        found.place[0, loop.N_MODE] = places[-1] if ended else len(numbers)
         tapes = outputs.tapes(
-            trace.zeros, kinds, lambda kind: self._observer.modes_of(trace)(kind[1]), solved
+            trace.zeros, [*numbers], lambda kind: self._observer.modes_of(trace)(kind[1]), solved
         )
         resolved = np.nan_to_num(block.coefficients) if solved else block.coefficients
         self.accumulate(tapes, block, resolved, found, marks[needed])

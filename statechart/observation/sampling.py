@@ -174,7 +174,7 @@ def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
 
 
 def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Array | None:
-    """Return the unknowns of time steps at ends of flows, NaN without a flow; else None."""
+    """Return the unknowns of time steps at ends of flows, else None; before any, of the start."""
     if trace.step is None:
         return None
     rows = np.full((len(endpoints), width), np.nan)
@@ -184,6 +184,8 @@ def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Arr
             solved = trace.arcs[place].solved
             assert solved is not None
             row[:] = solved[-1 if one.ends else 0]
+        elif trace.start_unknowns is not None and one.mode == trace.start_mode:
+            row[:] = trace.start_unknowns
     return rows
 
 

@@ -22,7 +22,7 @@ from statechart.diagram.layout.ring import MAX_STEPS, find_rounds
 from statechart.diagram.model import Chart, Diagram, identifiers
 from statechart.diagram.write import svg
 from statechart.documents.declaration import TIME
-from statechart.documents.files import write_atomic, writing
+from statechart.documents.files import explain_os_errors, write_atomic
 from statechart.documents.quantities import unit_of, unit_suffix
 from statechart.errors import DeclarationError
 from statechart.loading.kind import kind
@@ -386,5 +386,5 @@ def write_page(shown: Mapping[str, Any], path: Path) -> None:
     """Write the page atomically."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise DeclarationError(f"a page is .html, not {path.suffix or path.name!r}")
-    with writing(path):
+    with explain_os_errors("write", path):
         write_atomic(path, html(shown).encode())

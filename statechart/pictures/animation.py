@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.documents.files import write_atomic, writing
+from statechart.documents.files import explain_os_errors, write_atomic
 from statechart.errors import DeclarationError, StatechartError
 from statechart.palette import FAINT, FRAME, INK, PAPER, state_colours
 from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing, picture_size
@@ -118,7 +118,7 @@ def write_animation(
     # A long run was thinned: each picture stays for longer.
     lasting = (film.times[-1] - film.times[0]) / speed / max(len(film.times) - 1, 1) or 1.0 / _RATE
     make = _gif if path.suffix.lower() == ".gif" else _mp4
-    with writing(path):
+    with explain_os_errors("write", path):
         write_atomic(path, make(pictures, lasting))
 
 

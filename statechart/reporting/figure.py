@@ -16,7 +16,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.files import write_atomic, writing
+from statechart.documents.files import explain_os_errors, write_atomic
 from statechart.documents.quantities import axis_label
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
@@ -124,7 +124,7 @@ def write_figure(drawing: Figure, path: Path | str) -> None:
     kind = path.suffix.lower().lstrip(".")
     if f".{kind}" not in SUFFIXES:
         raise StatechartError(f"a figure is svg, png or pdf, not {path.suffix or path.name!r}")
-    with writing(path):
+    with explain_os_errors("write", path):
         write_atomic(path, render(drawing, kind))
 
 

@@ -14,7 +14,7 @@ from statechart.arrays import Array
 from statechart.automaton.clock import decimals
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.files import writing
+from statechart.documents.files import explain_os_errors
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 
@@ -69,7 +69,8 @@ def write_store(
     )
     if bodies:
         first = first.assign_coords(body=_text(bodies))
-    with writing(path, "name a place that is writable"), warnings.catch_warnings():
+    explained = explain_os_errors("write", path, "name a place that is writable")
+    with explained, warnings.catch_warnings():
         # Consolidated metadata are not part of Zarr format 3 yet, but all readers know them.
         warnings.simplefilter("ignore")
         first.to_zarr(path, mode="w-")

@@ -15,7 +15,7 @@ import numpy as np
 
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.files import staging_folder, write_atomic, writing
+from statechart.documents.files import explain_os_errors, staging_folder, write_atomic
 from statechart.documents.quantities import unit_of
 from statechart.documents.setting import Record
 from statechart.errors import StatechartError
@@ -198,7 +198,7 @@ def write_run(
     def events(short: bool) -> bytes:
         return _csv(events_table(observer, _shape(trace, done, short)[0]))
 
-    with writing(folder, _ADVICE):
+    with explain_os_errors("write", folder, _ADVICE):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "there is a file of this name")
         with staging_folder(folder, _FILES) as place:

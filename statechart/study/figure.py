@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from statechart.documents.files import write_atomic, writing
+from statechart.documents.files import explain_os_errors, write_atomic
 from statechart.palette import GRID, INK, LINES
 from statechart.reporting.figure import STYLE, frame, render, set_title
 from statechart.study.measurements import Measurements, Point
@@ -107,7 +107,7 @@ def figure(study: Measurements) -> Figure:
 def write_study_figure(folder: Path | str, study: Measurements) -> None:
     """Write a study's figure (trade.svg, trade.png) and table (trade.csv) to a folder."""
     folder, drawing = Path(folder), figure(study)
-    with writing(f"to {folder}"):
+    with explain_os_errors("write", f"to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         write_atomic(folder / "trade.svg", _svg(drawing))
         write_atomic(folder / "trade.png", render(drawing, "png"))

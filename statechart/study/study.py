@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from pydantic import ValidationError
 
-from statechart.documents.files import new_folder, write_atomic, writing
+from statechart.documents.files import explain_os_errors, new_folder, write_atomic
 from statechart.errors import DeclarationError
 from statechart.study.measurements import Measurements
 from statechart.study.text import describe_study
@@ -77,7 +77,7 @@ def load(folder: Path | str) -> Study | None:
     """Return the study in a folder, or None."""
     path = Path(folder) / NAME
     try:
-        with writing(path, verb="read"), suppress(FileNotFoundError, NotADirectoryError):
+        with explain_os_errors("read", path), suppress(FileNotFoundError, NotADirectoryError):
             return Study.model_validate_json(path.read_bytes())
         return None
     except ValidationError as error:
@@ -94,5 +94,5 @@ def save(folder: Path | str, study: Study) -> None:
     path = Path(folder) / NAME
     # Strict JSON, with non-finite numbers as text.
     text = json.dumps(json.loads(study.model_dump_json()), indent=1, allow_nan=False) + "\n"
-    with writing(path), new_folder(path.parent):
+    with explain_os_errors("write", path), new_folder(path.parent):
         write_atomic(path, text.encode())

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
 from statechart.documents.declaration import TIME
-from statechart.documents.files import new_folder, writing
+from statechart.documents.files import explain_os_errors, new_folder
 from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps.cells import OUTCOMES, CellBlock
 from statechart.sweeps.plan import Plan, Slices, Tile
@@ -77,7 +77,7 @@ def lock_folder(path: Path) -> Iterator[Callable[[], None]]:
         return
     file = path / _LOCK
     with ExitStack() as stack:
-        with writing(path):
+        with explain_os_errors("write", path):
             stack.enter_context(new_folder(path))
             lock = FileLock(file)
             try:
@@ -220,7 +220,7 @@ class Store:
         """Return the sweep as a lazily loaded data set."""
         import xarray as xr
 
-        with writing(str(self._path), verb="read"):
+        with explain_os_errors("read", str(self._path)):
             return xr.open_zarr(self._group.store, chunks=None)
 
     def loaded(self) -> xr.Dataset:
@@ -405,7 +405,7 @@ class Store:
     @contextmanager
     def _explained(self) -> Iterator[None]:
         self._check_lock()
-        with writing(str(self._path)):
+        with explain_os_errors("write", str(self._path)):
             try:
                 yield
             except OSError:

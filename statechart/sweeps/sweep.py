@@ -208,19 +208,19 @@ class _Progress:
     def __init__(self, total: int, done: int) -> None:
         self._total, self._done, self._said = total, done, done
         self._shown, self._worked = time.monotonic(), working_time()
-        self._bar = progress.Bar(total)
-        self.close = self._bar.close
+        self._display = progress.Display(total)
+        self.close = self._display.close
 
     def advance(self, count: int) -> None:
         self._done += count
         now, worked = time.monotonic(), working_time()
-        if not self._bar.drawn and now - self._shown < _PROGRESS_INTERVAL:
+        if not self._display.drawn and now - self._shown < _PROGRESS_INTERVAL:
             return
         rate = (self._done - self._said) / max(worked - self._worked, 1e-9)
         left = timedelta(seconds=round((self._total - self._done) / rate))
         cells = f"{self._done} of {pluralise(self._total, 'cell')}"
-        self._bar.show(self._done, f"{cells}, {rate:.3g} a second, {left} left")
-        if not self._bar.drawn:
+        self._display.show(self._done, f"{cells}, {rate:.3g} a second, {left} left")
+        if not self._display.drawn:
             self._shown, self._worked, self._said = now, worked, self._done
 
 

@@ -331,7 +331,7 @@ class Reading:
     untransformed: frozenset[str] = frozenset()
 
     def apply(self, trace: Trace) -> Trace:
-        """Return the events and the end of a run as those of the original model."""
+        """Return a run, without its arcs, as one of the original model."""
         names = {name: self.regions.get(name, name) for name in trace.regions}
         order = [trace.regions.index(name) for name in names.values()]
         maps = [{} if trace.regions[i] in self.untransformed else self.states for i in order]
@@ -355,8 +355,11 @@ class Reading:
 
         return replace(
             trace,
+            arcs=(),
             jumps=tuple(map(jump, trace.jumps)),
+            initial=trace.initial * self.factors,
             final=trace.final * self.factors,
+            start_mode=key(trace.start_mode),
             final_mode=key(trace.final_mode),
             t_end=trace.t_end * self.time,
         )

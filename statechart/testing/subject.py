@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache, cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,8 +67,8 @@ class Subject:
             except DeclarationError as error:
                 self.missing[name] = error.message
         self._variants: dict[str, Subject] = {}
-        self._case = lru_cache(_MAX_CASES)(lambda items: self.fresh(dict(items)))
-        self.loosened = cache(self._loosened)
+        self._cases: dict[tuple[tuple[str, float], ...], Case] = {}
+        self._loosened: dict[float, Simulator] = {}
         self._programs = Programs(self.automaton)
 
     @property
@@ -80,7 +80,11 @@ class Subject:
 
     def case(self, parameters: Mapping[str, float]) -> Case:
         """Return the cached case of some parameters."""
-        return self._case(tuple(sorted(parameters.items())))
+        key = tuple(sorted(parameters.items()))
+        self._cases[key] = found = self._cases.pop(key, None) or self.fresh(parameters)
+        if len(self._cases) > _MAX_CASES:
+            del self._cases[next(iter(self._cases))]
+        return found
 
     def fresh(self, parameters: Mapping[str, float]) -> Case:
         """Return a new case of some parameters."""
@@ -93,11 +97,14 @@ class Subject:
             self._variants[key] = Subject(variant)
         return Case(self._variants[key], dict(parameters))
 
-    def _loosened(self, relative: float) -> Simulator:
+    def loosened(self, relative: float) -> Simulator:
         """Return the most accurate engine's simulator of modes chosen as at `relative`."""
-        simulator = self.observers[self.engines[0]].simulator
-        assert isinstance(simulator, Simulator)  # there are several engines
-        return Simulator(with_loosened_modes(self.automaton, relative), simulator.engine)
+        if relative not in self._loosened:
+            simulator = self.observers[self.engines[0]].simulator
+            assert isinstance(simulator, Simulator)  # there are several engines
+            automaton = with_loosened_modes(self.automaton, relative)
+            self._loosened[relative] = Simulator(automaton, simulator.engine)
+        return self._loosened[relative]
 
     @cached_property
     def finer(self) -> Subject | None:

@@ -161,6 +161,8 @@ def test_rates_of_variables_of_controllers_decide_guards(
         # A force on its bound is known from the start on.
         ("y: 0, dx: 1", 0.0, "c.V <= 10", 0.0),
         ("y: 0, dx: 1", 0.0, "c.V < 10", None),
+        # True at the start, and false before a step ends.
+        ("y: 3.0e-4, dy: 1", 0.0, "b.y <= 4.0e-4", 0.0),
     ],
 )
 def test_stops_and_transitions_fire_alike_with_events_and_by_steps(

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from contacts.scene.scene import Scene
-from statechart.automaton.trace import Trace
+from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner
@@ -103,6 +103,48 @@ def test_a_rope_that_nothing_tightens_starts_free() -> None:
     text = LEVEL_ROPE.replace("gravity: 10", "gravity: 0")
     trace = trace_of(text, 1e-3)
     assert (trace.start_mode, len(trace.jumps)) == (("free",), 0)
+
+
+STOPPED_AT_START = """
+kind: scene
+name: stopped
+gravity: 10
+bodies: {b: {mass: 1.5, start: {dx: 1}}}
+surfaces: {floor: {height: 0}}
+contacts: {p: {point: {body: b}, surface: floor, friction: 0.1, restitution: 0}}
+stop: {time: 1, conditions: {far: CONDITION}}
+outputs:
+  start: {value: p.V, at: start}
+  stop: {value: p.V, at: first stop}
+  end: {value: p.V, at: end}
+  most: {maximum: p.V}
+"""
+
+
+@pytest.mark.parametrize("condition", ["p.V >= 5", "b.dx > 0"])
+@pytest.mark.parametrize("record", ["modes", "nothing"])
+@pytest.mark.parametrize("until", [None, 0.0])
+@pytest.mark.parametrize("engine", ["taylor", 1e-2])
+def test_a_run_without_a_flow_has_the_forces_of_its_start(
+    condition: str, record: str, until: float | None, engine: str | float
+) -> None:
+    """V = m g; a run to time 0 reaches its end, a longer one stops there."""
+    model = interpret(read_text(STOPPED_AT_START.replace("CONDITION", condition)))
+    assert isinstance(model, Scene)
+    if isinstance(engine, str):
+        runner = Runner(model, engine=engine)
+    else:
+        runner = Runner(model, engine="impulse", step=engine, record=record)
+    result = runner.run(until=until)
+    stopped = until is None
+    assert result.trace.t_end == 0.0
+    assert result.trace.outcome is (Outcome.STOPPED if stopped else Outcome.HORIZON)
+    assert result.outputs == {
+        "start": pytest.approx(15.0),
+        "stop": pytest.approx(15.0) if stopped else None,
+        "end": pytest.approx(15.0),
+        "most": pytest.approx(15.0),
+    }
 
 
 PRESSED = """
