@@ -32,7 +32,7 @@ from contacts.time_stepping.recorder import Recorder
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
-from statechart.automaton.trace import Jump, Key
+from statechart.automaton.trace import Arc, Jump, Key
 from statechart.charts.guard_watch import EventQueues
 from statechart.errors import EventLoop, SimulationError, UnsolvedImpulses
 
@@ -62,7 +62,7 @@ class StepControl:
         states: Key,
     ) -> None:
         self._states, self._setup, self._scene = controllers, setup, scene
-        self._mechanics = mechanics
+        self._mechanics, self._n = mechanics, len(mechanics.q)
         self._queues = EventQueues(regions, controllers.flat)
         self._active = ActiveStates(regions)
         self.states = states
@@ -71,7 +71,7 @@ class StepControl:
         # Guards that became true in the last step, by region and trigger.
         self._became_true = set[tuple[int, int]]()
         # A moved surface strikes in the next step, before any other event.
-        self._strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
+        self.strikes, self._pending = False, dict[str, tuple[Raised, ...]]()
         self._tapes = dict[Key, SnapshotTape]()
         # Contacts with restitution -> their places.
         self._bouncing = {
@@ -92,28 +92,51 @@ class StepControl:
         fires, begins = self._truths.take(chunk, start, np.vstack([recorder.row, shown]))
         may_act: Bools = np.any(fires, axis=1)
         if self._queues.waits(self.states):
-            may_act |= recorder.changes(chunk)
-        may_act[:1] |= self._strikes
+            may_act |= recorder.changes(chunk) | np.any(recorder.slips_end(chunk), axis=1)
+        may_act[:1] |= self.strikes
         acts = bool(may_act.any())
         end = int(np.argmax(may_act)) if acts else len(may_act) - 1
         # Guards that became true at the instant of a moved surface wait for its impact.
-        waiting = self._became_true if self._strikes else set[tuple[int, int]]()
+        waiting = self._became_true if self.strikes else set[tuple[int, int]]()
         self._became_true = waiting | self._chosen(begins[end])
         if end == len(may_act) - 1:
             return chunk, acts
         self._scene.forget()
         return self._scene.steps(start, chunk.h, chunk.states[0], 1 + end), True
 
+    def stick(self, chunk: Chunk, recorder: Recorder, h: float) -> None:
+        """Let contacts whose slip ends with the last step stick before controllers act."""
+        ends = recorder.slips_end(chunk)[-1]
+        if ends.any():
+            modes, _ = self._next_step(recorder, chunk.states[-1], chunk.solved[-1], h)
+            recorder.stick(np.where(ends, modes, recorder.row), chunk.states[-1])
+
+    def acts_by(self, last: Arc, jumps: Sequence[Jump], h: float, recorder: Recorder) -> bool:
+        """Return whether a controller acts by the end of an arc, not only at the end of the step.
+
+        The step has these jumps.
+        """
+        at, solved, time = np.array([last.duration]), last.solved, last.end.high
+        assert solved is not None
+        [state] = last.states(at)
+        true = self._truths.true_at(time, state, solved[-1], h, recorder.row)
+        at_end = np.array([time]), state[None], solved[-1:], recorder.row[None]
+        return bool(
+            self._pending
+            or self._chosen(true)
+            or any(jump.t <= time and self._waiting(jump, at_end) for jump in jumps)
+        )
+
     def turn(
         self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
-    ) -> Array:
-        """Take the transitions due at the end of a step; return the state after them.
+    ) -> tuple[Array, Array]:
+        """Take the transitions due at the end of a step; return state and unknowns after them.
 
         The step has these jumps, and unknowns `solved` (u,).
 
         Raises `EventLoop` if they do not end.
         """
-        pending, self._pending, self._strikes = self._pending, {}, False
+        pending, self._pending, self.strikes = self._pending, {}, False
         struck = {name for jump in jumps for name in jump.impulse} & self._rigid
         # A contact with restitution closes without an impact in its last bounce.
         last_bounces = [
@@ -123,8 +146,8 @@ class StepControl:
             and not (jump.impulse or jump.target[self._bouncing[jump.region]] in OPEN)
             and jump.source[self._bouncing[jump.region]] in OPEN
         ]
-        time, unknowns = np.array([recorder.clock.high]), solved[None]
-        self._warn_of_sticking(jumps, (time, state[None], unknowns, recorder.row[None]), h)
+        time = np.array([recorder.clock.high])
+        self._warn_of_sticking(jumps, (time, state[None], solved[None], recorder.row[None]), h)
         for first, *others in _simultaneous(jumps):
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
@@ -139,7 +162,7 @@ class StepControl:
             )
         for _ in range(_MOST_TURNS):
             watch = self._states.guards(self.states).watch
-            at_end = time, state[None], unknowns, recorder.row[None]
+            at_end = time, state[None], solved[None], recorder.row[None]
             due, truths = self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
             hold = self._chosen(truths)
             # The transition of another region may have turned some true.
@@ -169,7 +192,7 @@ class StepControl:
                             event = _event(jump, name, cause)
                             if self._waiting(event, at_end) and self._strikes_coupling(jump, place):
                                 self._warn_of(event, why, at_end)
-                return state
+                return state, solved
             name, taken = self._states.names[firing.place], firing.taken
             fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
             source = self.states[firing.place]
@@ -194,10 +217,8 @@ class StepControl:
             moved = closing.modes | switched
             if resting := [i for i, code in closing.modes.items() if code in RESTS]:
                 # Forces decide the mode of a contact that the impact leaves without slip.
-                with suppress(SimulationError):  # the run may end before this step
-                    [codes] = self._scene.steps(recorder.clock.high, h, after, 1).modes.tolist()
-                    moved |= {i: codes[i] for i in resting if STATES[codes[i]] not in OPEN}
-                self._scene.forget()
+                codes = self._next_step(recorder, after, solved, h)[0].tolist()
+                moved |= {i: codes[i] for i in resting if STATES[codes[i]] not in OPEN}
             jump = recorder.turn(
                 name, taken.name, self.states, (state, after), fired, moved,
                 impulse=closing.impulse, joint_impulse=closing.joint_impulse,
@@ -207,17 +228,37 @@ class StepControl:
             else:
                 recorder.chatter.change(name, source, taken.target, recorder.clock.high)
             pending, state = self._queues.pending_after(firing.pending, jump), after
+            # Forces are those of these states. Where the acceleration turns, guards on their bounds
+            # wait for the next step: those of an ideal relay would never end at this instant.
+            last, (_, solved) = solved, self._next_step(recorder, state, solved, h)
+            solved[: self._n][last[: self._n] * solved[: self._n] < 0.0] = np.nan
             if strikes:
-                self._pending, self._strikes = pending, True
+                self._pending, self.strikes = pending, True
                 self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
-                return state
-        last = (
+                return state, solved
+        listed = (
             f"{jump.cause} -> {' '.join(jump.target)}"
             for jump in recorder.control_jumps[-_MAX_LISTED:]
         )
         raise EventLoop(
-            f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
+            f"more than {_MOST_TURNS} transitions of controllers at one instant: "
+            f"{', '.join(listed)}"
         )
+
+    def _next_step(
+        self, recorder: Recorder, state: Array, solved: Array, h: float
+    ) -> tuple[Ints, Array]:
+        """Return modes (r,) and unknowns of the next step, as `solved`; NaN if it cannot be taken.
+
+        The step is reverted.
+        """
+        modes, solved = recorder.row, np.full_like(solved, np.nan)
+        with suppress(SimulationError):  # The run may end before this step.
+            step = self._scene.steps(recorder.clock.high, h, state, 1)
+            if len(step.codes):
+                modes, solved = step.modes[0], step.solved[0]
+        self._scene.forget()
+        return modes, solved
 
     def due_at_start(
         self, state: Array, solved: Array, codes: Ints, h: float

@@ -51,6 +51,15 @@ class ActiveStates:
 
         return active
 
+    def of(self, mode: Key) -> Callable[[str, str], bool]:
+        """Return a test whether a region is in a state, in this mode of all regions."""
+
+        def active(name: str, state: str) -> bool:
+            place, region = self._places[name]
+            return state in region.active(mode[place])
+
+        return active
+
 
 class _Ends(NamedTuple):
     """Atoms (m, a) at the ends of steps."""
@@ -117,6 +126,12 @@ class StepTruths:
         self._forced |= unknown[0]
         self._known |= ends.true[0] & unknown.any()
         return due, true
+
+    def true_at(self, time: float, state: Array, solved: Array, h: float, codes: Ints) -> Bools:
+        """Return the guards (g,) that are true at an instant of the steps that `take` had last."""
+        ends = self._ends(np.array([time]), state[None], solved[None], h, self._zero[:1])
+        [true] = self._guards(ends.true, codes[None])
+        return true
 
     def take(self, chunk: Chunk, start: float, codes: Ints) -> tuple[Bools, Bools]:
         """Return the guards (m, g) that fire at the ends of steps, and those that become true.

@@ -182,19 +182,26 @@ class Recorder:
         self.controls, self.key = controls, target
         return jump
 
-    def drop(self) -> Arc:
-        """Remove the last arc, and the jumps before it; return the arc that is last now."""
-        self._arcs.pop()
-        last = self.arcs[-1]
+    def rewind(self, last: Arc, *, earlier: bool) -> Array:
+        """Go back to the end of a part of the last arc, or of an earlier one; return the state."""
+        if earlier:
+            self._arcs.pop()
         if self.modes:
             del self._jumps[len(self._jumps) - (self.count - last.j) :]
-        self.count = last.j
-        return last
-
-    def rewind(self, last: Arc) -> None:
-        """Replace the last arc by a shorter one, and go back to its end."""
         self._arcs[-1] = last
-        self.key, self.clock = last.mode, last.end
+        self.key, self.clock, self.count = last.mode, last.end, last.j
+        state: Array = last.coefficients[-1].sum(axis=1)
+        return state
+
+    def slips_end(self, chunk: Chunk) -> Bools:
+        """Return the regions (k, r) whose recorded slip ends with a step, if they then stick."""
+        shown = self.recorded_modes(chunk)
+        ends: Bools = self.sticks & np.isin(shown, SLIPS) & np.isin(chunk.modes, [*RESTS])
+        return ends
+
+    def stick(self, modes: Ints, state: Array) -> None:
+        """Append jumps of regions that stick at the end of the last step, in these modes."""
+        self._change(np.where(np.isin(modes, [*RESTS]), modes, self.row), state)
 
     def stop(self, name: str, state: Array) -> None:
         """Append the jump of a stop condition."""
@@ -286,7 +293,7 @@ class Recorder:
         """Append the single jump of a step with impacts."""
         self.close()
         if not self.modes:
-            self.row, self.count = row, self.count + 1
+            self.row, self.count, self.key = row, self.count + 1, self._key(row)
             return
         place = int(steps.struck[k].argmax())
         cause = self._cause(int(self.row[place]), int(row[place]), True)
@@ -310,7 +317,7 @@ class Recorder:
         changed = np.flatnonzero(row != self.row).tolist()
         if not self.modes and changed:
             self.close()
-            self.row, self.count = row, self.count + len(changed)
+            self.row, self.count, self.key = row, self.count + len(changed), self._key(row)
             return
         for i in changed:
             self.close()

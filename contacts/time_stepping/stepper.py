@@ -170,15 +170,15 @@ class SteppedRun:
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
-        solved = self._inputs.solved
+        solved, control = self._inputs.solved, self.control
+        if control is not None:
+            self.state, solved = control.turn(self.recorder, (), self.state, solved, step)
         # As with events, a run of no duration reaches its end time.
-        met = self.stops.at_start(self.state, solved, self.recorder, step) if until else None
+        met = self._met_after_controllers(solved, step) if until else None
         if met is not None:
             self._stop(met)
             return
         yield True
-        if self.control is not None:
-            self.state = self.control.turn(self.recorder, (), self.state, solved, step)
         whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
         rest = until - whole * step
         if rest <= 1e-9 * step:
@@ -203,8 +203,8 @@ class SteppedRun:
                         begin, h, self.state, min(int(count_left), most, each - int(done) % each)
                     )
                 due = False
-                if self.control is not None:
-                    chunk, due = self.control.cut(chunk, begin, self.recorder)
+                if control is not None:
+                    chunk, due = control.cut(chunk, begin, self.recorder)
                 work = float(chunk.stats[:, WORK].sum())
                 if due:
                     # Steps beyond a transition are reverted, and the next may be as far off.
@@ -213,23 +213,22 @@ class SteppedRun:
                     most = max(1, most // 2)
                 elif work < 0.25 * _WORK and len(chunk.codes) == most:
                     most = min((8 if work < 0.0625 * _WORK else 2) * most, largest)
-                jumps = self.recorder.count
-                if self._accept(chunk, begin):
+                if self._accept(chunk, begin, h, due):
                     return
-                if self.control is not None:
-                    fresh = self.recorder.since(jumps)
-                    self.state = self.control.turn(
-                        self.recorder, fresh, self.state, chunk.solved[-1], h
-                    )
                 done += len(chunk.codes) * (chunk.h / h)
                 if self._every == math.inf or done % each == 0.0:
                     yield True
         self.time = until
         self.message = f"reached t = {until:.6g}"
 
-    def _accept(self, chunk: Chunk, start: float) -> bool:
-        """Record steps; return whether the run ends in them."""
+    def _accept(self, chunk: Chunk, start: float, h: float, due: bool) -> bool:
+        """Record steps; return whether the run ends in them.
+
+        At their end contacts act first, then controllers, which may be `due`, then stop conditions.
+        """
         failure: SimulationError | None = None
+        control, recorder, steps = self.control, self.recorder, len(chunk.codes)
+        jumps = recorder.count
         rejection = without_limit(chunk, start, self.stepper.couplings)
         if rejection is not None:
             failure = rejection.why
@@ -244,10 +243,10 @@ class SteppedRun:
         if failed is not None:
             failure = failed[1]
             chunk = chunk.first(failed[0])
-        self.stops.take(chunk, start, self.recorder)
+        self.stops.take(chunk, start, recorder)
         lost = self.stops.first_undefined(chunk)
-        if lost is None and self.control is not None:
-            lost = self.control.first_undefined(chunk)
+        if lost is None and control is not None:
+            lost = control.first_undefined(chunk)
         if lost is not None:
             failure = NonFinite(
                 f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
@@ -259,24 +258,42 @@ class SteppedRun:
         if len(chunk.codes):
             self._hand_on()
             if self._poses is not None:
-                recorder = self.recorder
                 self._poses.add(
                     chunk, recorder.clock, len(recorder.control_jumps), recorder.controls
                 )
-            self.recorder.add(chunk)
+            recorder.add(chunk)
             self.solver_residual.add(chunk, start)
             self.fastest = max(self.fastest, float(chunk.approach.max()))
         self.taken += len(chunk.codes)
         self.state = chunk.states[-1]
         self.time = start + len(chunk.codes) * chunk.h
-        self.request.show(self.time, self.recorder.count, self.taken)
+        self.request.show(self.time, recorder.count, self.taken)
+        turns = control is not None and len(chunk.codes) == steps and failure is None
+        met, last, end = None, None, self.time
         if stopped is not None:
-            self.state = self.stops.locate(self.recorder, stopped[1])
-            self._stop(stopped[1])
-        self.stops.accept(chunk, start, self.time)
-        if self.control is not None:
-            self.control.accept(chunk, start, self.time)
-        if stopped is not None:
+            met, last = stopped[1], self.stops.locate(recorder, stopped[1])
+            fresh = recorder.since(jumps)
+            turns = (
+                turns
+                and due
+                and control is not None
+                and control.acts_by(last[0], fresh, h, recorder)
+            )
+            end = end if turns else last[0].end.high
+        self.stops.accept(chunk, start, end)
+        if control is not None:
+            control.accept(chunk, start, end)
+        if turns and control is not None:
+            if due:
+                control.stick(chunk, recorder, h)
+            transitions, fresh = len(recorder.control_jumps), recorder.since(jumps)
+            self.state, solved = control.turn(recorder, fresh, self.state, chunk.solved[-1], h)
+            if len(recorder.control_jumps) > transitions:
+                met, last = self._met_after_controllers(solved, h), None
+        if met is not None:
+            if last is not None:
+                self.state = recorder.rewind(last[0], earlier=last[1])
+            self._stop(met)
             return True
         if failure is not None:
             raise failure
@@ -293,6 +310,12 @@ class SteppedRun:
             check_size(self.size, jumps, self.time)
         self._check_pace()
         return False
+
+    def _met_after_controllers(self, solved: Array, h: float) -> int | None:
+        """Return the stop condition that is met in the present state; a struck surface is first."""
+        if self.control is not None and self.control.strikes:
+            return None
+        return self.stops.after_controllers(self.recorder, self.state, solved, h)
 
     def _hand_on(self, *, ended: bool = False) -> None:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""

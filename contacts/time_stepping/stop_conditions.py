@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -53,8 +54,8 @@ class StopConditions:
         self._truths = StepTruths(
             guards.mechanics, setup, guards.active, guards.within(states), states
         )
-        # Conditions (k, s) that fire at the ends of the last steps; modes where one was met.
-        self._met, self._codes = np.zeros((0, 0), np.bool_), np.zeros((1, 0), int)
+        # Conditions (k, s) that fire at the ends of the last steps, and those that become true.
+        self._met = self._begins = np.ones((1, len(guards.names)), np.bool_)
         # Condition -> warning that it is true for less than a step.
         self._spans = dict[str, str]()
 
@@ -63,17 +64,27 @@ class StopConditions:
         """Warnings of conditions that steps pass over."""
         return tuple(self._spans.values())
 
-    def at_start(self, state: Array, solved: Array, recorder: Recorder, h: float) -> int | None:
-        """Return the condition that holds at the start, with these unknowns, if any."""
-        _, true = self._truths.at(0.0, state, solved, h, recorder.start)
-        return int(np.argmax(true)) if true.any() else None
+    def after_controllers(
+        self, recorder: Recorder, state: Array, solved: Array, h: float
+    ) -> int | None:
+        """Return the condition that is met at the start, or after transitions, if any.
+
+        The step before them is the last accepted one.
+        """
+        if not self._guards.names:
+            return None
+        self._truths.enter(self._guards.within(recorder.controls), recorder.controls)
+        due, true = self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
+        met = due | (true & self._begins[-1])
+        return int(np.argmax(met)) if met.any() else None
 
     def take(self, chunk: Chunk, start: float, recorder: Recorder) -> None:
         """Evaluate the conditions in steps."""
         if not self._guards.names:
             return
         self._truths.enter(self._guards.within(recorder.controls), recorder.controls)
-        self._met, _ = self._truths.take(chunk, start, np.vstack([recorder.row, chunk.codes]))
+        codes = np.vstack([recorder.row, recorder.recorded_modes(chunk)])
+        self._met, self._begins = self._truths.take(chunk, start, codes)
 
     def first_met(self, chunk: Chunk) -> tuple[int, int] | None:
         """Return (step, condition) of the first condition that fires at the end of a step."""
@@ -81,7 +92,6 @@ class StopConditions:
         if not met.any():
             return None
         k = int(np.argmax(met.any(axis=1)))
-        self._codes = chunk.codes[k : k + 1]
         return k, int(np.argmax(met[k]))
 
     def first_undefined(self, chunk: Chunk) -> tuple[int, str] | None:
@@ -91,40 +101,41 @@ class StopConditions:
     def accept(self, chunk: Chunk, start: float, end: float) -> None:
         """Continue after steps, the first of those taken last, until the run is at `end`."""
         if self._guards.names:
+            self._begins = self._begins[: len(chunk.codes)]
             self._spans = self._truths.accept(chunk, start, end) | self._spans
 
-    def locate(self, recorder: Recorder, condition: int) -> Array:
-        """Cut the recorded run where a condition is met in its last step; return that state."""
+    def locate(self, recorder: Recorder, condition: int) -> tuple[Arc, bool]:
+        """Return the arc that ends where a condition is met in the last step, and if it is earlier.
+
+        An earlier arc is the last but one: a condition is met in the half step before an impact.
+        """
         recorder.close()
         arc, before = recorder.arcs[-1], recorder.arcs[-2:-1]
+        margin = partial(self._margin, condition, len(recorder.row))
         begin = float(arc.times[-2])
-        met = len(arc.times) == 2 and self._margin(arc, begin, condition) < 0.0
-        if met and before and self._margin(before[0], before[0].duration, condition) < 0.0:
-            # It was met in the half step before an impact; otherwise at the start of the arc.
-            arc = recorder.drop()
+        met = len(arc.times) == 2 and margin(arc, begin) < 0.0
+        earlier = bool(met and before and margin(before[0], before[0].duration) < 0.0)
+        if earlier:
+            [arc] = before
             begin = float(arc.times[-2])
         low, high = begin, arc.duration
-        if self._margin(arc, low, condition) < 0.0:
+        if margin(arc, low) < 0.0:
             high = low
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
-            if self._margin(arc, middle, condition) < 0.0:
+            if margin(arc, middle) < 0.0:
                 high = middle
             else:
                 low = middle
-        last = cut(arc, len(arc.times) - 2, high)
-        recorder.rewind(last)
-        state: Array = last.coefficients[-1].sum(axis=1)
-        return state
+        return cut(arc, len(arc.times) - 2, high), earlier
 
-    def _margin(self, arc: Arc, local: float, condition: int) -> float:
+    def _margin(self, condition: int, regions: int, arc: Arc, local: float) -> float:
         at = np.array([local])
         unknowns = arc.unknowns(at)
         assert unknowns is not None
         time = np.array([arc.start.later(local).high])
-        states = arc.mode[self._codes.shape[1] :]
+        states = arc.mode[regions:]
         self._truths.enter(self._guards.within(states), states)
         margins = self._truths.table(time, arc.states(at), unknowns)[0, :, 0]
-        active = self._truths.active(self._codes)
         _, stop, first = self._guards.within(states).watch.placed[condition]
-        return stop.margin(margins[first:].tolist(), lambda *of: bool(active(*of)[0]))
+        return stop.margin(margins[first:].tolist(), self._guards.active.of(arc.mode))
