@@ -344,18 +344,20 @@ def _write_velocity_bounds(
 
 
 @kernel
-def _move_between(radii: Array, pair: CandidatePair, point: Array, feature: int) -> None:
-    """Move a contact point of two pieces from one surface to the middle of the gap.
+def _move_between(
+    radii: Array, pair: CandidatePair, point: Array, feature: int, part: float
+) -> None:
+    """Move a contact point of two pieces from one surface to a `part` of the gap from the first.
 
-    Lever arms then do not depend on the order of bodies. The point of a disc and a polygon is on
-    the polygon, that of two discs on the second; see `contacts.collision_detection.convex`.
+    In the middle lever arms do not depend on the order of bodies. The point of a disc and a polygon
+    is on the polygon, that of two discs on the second; see `contacts.collision_detection.convex`.
     """
     on_first = feature >= 0 and feature % 2 == 1
     if radii[pair.q] > 0.0:
         on_first = radii[pair.p] == 0.0
-    half = -0.5 * point[4] if on_first else 0.5 * point[4]
-    point[2] += half * point[0]
-    point[3] += half * point[1]
+    shift = -part * point[4] if on_first else (1.0 - part) * point[4]
+    point[2] += shift * point[0]
+    point[3] += shift * point[1]
 
 
 @kernel
@@ -368,19 +370,20 @@ def _write_if_active(
     The pair's entries of the warm start begin at `at_old`.
     """
     h, point, feature = times.h, points.manifold[at], points.features[at]
-    gap = point[4]
+    gap, law = point[4], numbers.materials[pair.material]
+    prescribed = pair.other >= len(numbers.inverse)
     if pair.whole:
-        _move_between(numbers.pieces.radii, pair, point, feature)
+        # A body is as deep in a prescribed one as in a surface: lever arms end on the body.
+        part = 0.0 if prescribed and law[STIFFNESS] > 0.0 else 0.5
+        _move_between(numbers.pieces.radii, pair, point, feature, part)
     known = at_old < warm.n_contacts[0] and warm.keys[at_old, 0] == pair.key
     level, lasting, place = restore_impulses(warm, at_old, pair.key, feature, h, m, active)
-    prescribed = pair.other >= len(numbers.inverse)
     write_contact(mid, pair.body, -1 if prescribed else pair.other, point, m, active)
     if prescribed:
         pull = remove_body_motion(mid, pair.other, point, m, active)
         mid.force_speed[pair.body] = max(mid.force_speed[pair.body], pull)
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
-    law = numbers.materials[pair.material]
     active.compliances[m], active.laws[m], active.landings[m] = 0.0, pair.material, 0.0
     active.rolling_roles[m] = ROLLS if pair.rolls and law[ROLLING] > 0.0 else 0
     if law[STIFFNESS] > 0.0:

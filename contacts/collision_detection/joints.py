@@ -159,10 +159,11 @@ def _write_bounded_bias(
 ) -> None:  # fmt: skip
     """Write the bias of a one-sided row: it is struck as contacts are.
 
-    `e`: restitution; `fall`: velocity change by gravity in a step.
+    `bend`: velocity by which the gap falls beyond the linear term, half of the change of its rate
+    by rotation; `e`: restitution; `fall`: velocity change by gravity in a step.
     """
     nearing = -active.before[m, 0]
-    slow = SLOW * max(abs(active.free[m, 0] - active.before[m, 0]), fall)
+    slow = SLOW * max(abs(active.free[m, 0] - active.before[m, 0]), fall, 2.0 * abs(bend))
     closing, reached = h * (slow - active.free[m, 0] + bend), (0.5 + TIME_MARGIN) * h * nearing
     role, level, above = contact_role(gap, level, lasting, nearing, slow, closing, reached, 0.0)
     active.levels[m, 0], active.levels[m, 1] = level, max(above, 0.0)
@@ -172,7 +173,7 @@ def _write_bounded_bias(
     if role == LASTING:
         active.bias[m, 0] = above / h - bend
     elif role == HIT:
-        active.bias[m, 0] = -e * nearing
+        active.bias[m, 0] = -max(e * nearing, bend)
     if not lasting:
         active.pushes[m, 0] = 0.0
 

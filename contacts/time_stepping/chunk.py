@@ -191,6 +191,17 @@ def contact_role(
 
 
 @kernel
+def time_in_contact(start: float, rate: float, h: float) -> float:
+    """Return how long the force of a compliant contact acts in a step: from its touchdown on.
+
+    `start`, `rate`: gap and its rate at the start of the step.
+    """
+    if start > 0.0 > start + h * rate and h + start / rate > 0.0:
+        return h + start / rate
+    return h
+
+
+@kernel
 def compliant_row(
     stiffness: float, damping: float, own: float, start: float, rate: float, h: float, whole: float
 ) -> tuple[float, float]:
@@ -213,8 +224,9 @@ def compliant_row(
         Step size, and that of the step of which this one is a part.
     """
     weight = min(1.0, whole * whole * own * (stiffness + own * damping * damping))
-    if start > 0.0 > start + h * rate and h + start / rate > 0.0:
-        h, start = h + start / rate, 0.0
+    acts = time_in_contact(start, rate, h)
+    if acts < h:
+        h, start = acts, 0.0
     trapezoid = 1.0 - weight
     push = (0.25 * trapezoid * h + weight * whole) * stiffness + (0.5 + 0.5 * weight) * damping
     force = stiffness * (start + 0.25 * trapezoid * h * rate) + 0.5 * trapezoid * damping * rate

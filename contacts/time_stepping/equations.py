@@ -73,7 +73,7 @@ class ContactHistory(NamedTuple):
     """Contact state that persists between steps."""
 
     # (c,): target gap of a lasting contact, from its landing; above 0 only for an opposed contact
-    # of a deeper one.
+    # of a deeper one; infinite: that of the first midpoint.
     target_gap: Array
     # (c,): whether it lasts; its slip at the end of the last step, 0 within round-off.
     closed: Bools

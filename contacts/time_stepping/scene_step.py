@@ -47,6 +47,7 @@ from contacts.time_stepping.step_contacts import (
     coupling_loads,
     energy_added,
     find_active,
+    force_duration,
     free_rows,
     group_island,
     group_members,
@@ -381,7 +382,7 @@ def _step_group(
                 rest = columns[2 * a + d, j] * (shared[a, d] - steady[a, d])
                 equations.change[j] += rest
                 equations.lasting[j] += rest
-            force = math.nan if mixed else shared[a, d] / h
+            force = math.nan if mixed else shared[a, d] / force_duration(scene, tape, i, h)
             chunk.solved[k, at + d] = 0.0 if chunk.codes[k, i] == FREE else force
     if impact_order_matters(scene, island, contacts, k, chunk):
         chunk.stats[k, AMBIGUOUS] = 1.0

@@ -189,6 +189,7 @@ class SteppedScene(SteppedSystem):
             np.zeros(count, np.bool_),
             np.zeros(count, np.bool_),
         )
+        self._close_turning(setup.initial)
         self._saved = self._step_state.copy()
         self._swing = self._length = 0.0
 
@@ -253,8 +254,8 @@ class SteppedScene(SteppedSystem):
 
     def press(self, closed: Bools) -> None:
         """Let contacts (c,) be closed and sliding, and forces decide modes, as after impacts."""
-        self._step_state.contacts.closed[:] = self._step_state.contacts.slip[:] = closed
-        self._step_state.contacts.settling[:] = LANDED
+        memory = self._step_state.contacts
+        memory.closed[closed], memory.slip[closed], memory.settling[:] = True, 1.0, LANDED
 
     def keep(self, idle: Bools, state: Array) -> None:
         """Let contacts (c,) that touch without a load last at the start."""
@@ -263,6 +264,20 @@ class SteppedScene(SteppedSystem):
             memory = self._step_state.contacts
             memory.closed[idle], memory.slip[idle], memory.modes[idle] = True, slips[idle], PIN
             memory.landing_steps[idle], memory.settling[idle] = HOLDING, LANDED
+
+    def _close_turning(self, state: Array) -> None:
+        """Let contacts that touch last at the start where rotation alone presses them.
+
+        Their approach at the middle of the first step is no impact.
+        """
+        source, memory = self._source, self._step_state.contacts
+        c = len(source.names) - source.couplings
+        _, rows, _ = at = source.equations(self._values, state, 0.0)
+        slow = np.hypot(at.gaps / self._near, at.velocities[:, 0] / self._still) <= 1.0
+        turning = (rows[:, 2 * source.size] < 0.0) & (source.held == 0) & self._is_rigid
+        closed = np.flatnonzero((slow & turning & ~memory.disabled)[:c])
+        memory.closed[closed], memory.target_gap[closed] = True, np.inf
+        memory.slip[closed] = at.velocities[closed, 1]
 
     def hold(
         self, stopped: Mapping[int, tuple[float, float]], leaving: Collection[int]

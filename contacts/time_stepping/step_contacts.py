@@ -51,6 +51,7 @@ from contacts.time_stepping.chunk import (
     Chunk,
     compliant_row,
     contact_role,
+    time_in_contact,
 )
 from contacts.time_stepping.equations import (
     EDGES,
@@ -199,6 +200,9 @@ def find_active(
         closing, reached = h * (slow - (free[0] + bias)), TIME_MARGIN * h * nearing
         # No more than half a step early: bounces within the gap tolerance would sink, not end.
         reached = max(reached, min(scene.gap_tolerance, 0.5 * h * nearing))
+        if memory.closed[i] and level[i] == math.inf:
+            # It has no target gap at the start: rotation until mid-step takes no force.
+            level[i] = gap
         role, level[i], above = contact_role(
             gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.gap_tolerance
         )
@@ -293,6 +297,17 @@ def normal_pads(
                 pads[a] += tape.numbers[row + n + j] * columns[2 * a + 1, j]
             pads[a] = pads[a] if pads[a] > 0.0 else 1.0
     return pads, biases
+
+
+@kernel
+def force_duration(scene: StepConstants, tape: TapeValues, i: int, h: float) -> float:
+    """Return how long the force of contact i, or of its rolling resistance, acts in a step."""
+    contact = i if scene.carriers[i] < 0 else scene.carriers[i]
+    if scene.compliance[contact, 0] == 0.0:
+        return h
+    row = tape.first + tape.per * contact + 2 * tape.size
+    gap, rate = tape.numbers[row + 2], tape.numbers[row + 3]
+    return time_in_contact(gap - 0.5 * h * rate, rate, h)
 
 
 # Iterations of the loads of rolling resistances, and their relative tolerance. Each iteration

@@ -151,6 +151,32 @@ def test_a_compliant_ball_sticks_and_slides_as_a_rigid_one():
     assert outputs["speed"] == pytest.approx(2, rel=1e-6)
 
 
+@pytest.mark.parametrize("ground", ["fixed: true, start: {y: -0.2}", "position: [0*time, -0.2]"])
+@pytest.mark.parametrize("start", [(1, 0), (0.5, -5)])
+def test_a_compliant_disc_rolls_on_its_radius(ground, start):
+    """v = r w, on fixed and led bodies as on surfaces: 2/3 of the velocity of a sliding start."""
+    dx, dangle = start
+    text = f"""
+kind: scene
+name: roll
+gravity: 10
+bodies:
+  disc:
+    mass: 1
+    inertia: 0.005
+    shape: {{disc: 0.1}}
+    start: {{y: 0.1 - 10/3000, dx: {dx}, dangle: {dangle}}}
+  crate: {{{ground}, shape: {{polygon: [[-6, -0.2], [6, -0.2], [6, 0.2], [-6, 0.2]]}}}}
+collisions: {{all: {{bodies: [disc, crate], friction: 0.1, stiffness: 3000, damping: 0}}}}
+stop: {{time: 0.5}}
+settings: {{engine: impulse, step: 1e-3}}
+outputs: {{v: {{value: disc.dx}}, w: {{value: disc.dangle}}}}
+"""
+    outputs, v = run(text).outputs, 2 / 3 if dangle == 0 else 0.5
+    assert outputs["v"] == pytest.approx(v, rel=1e-9)
+    assert outputs["w"] == pytest.approx(-10 * v, rel=1e-9)
+
+
 def test_rigid_neighbours_of_compliant_contacts_bounce_no_higher_than_they_fell():
     text = """
 kind: scene

@@ -132,6 +132,73 @@ def test_a_rope_that_becomes_taut_pulls_at_once(step):
     assert outputs["x"] == pytest.approx(math.sin(a), abs=2 * step)
 
 
+@pytest.mark.parametrize("e", [0, 0.5])
+def test_motion_alone_loads_a_rope(e):
+    """Around the whole circle: V = m (v^2/l - 2 g (1 + y) - g y), to second order in the step."""
+    errors = []
+    for step in (4e-3, 2e-3):
+        outputs = run(
+            f"{{point: {{body: bar}}, to: [0, 0], rope: 1, restitution: {e}}}",
+            {
+                "start": "value: held.V, at: start",
+                "least": "minimum: held.V",
+                "most": "maximum: held.V",
+                "far": "maximum: bar.x**2 + bar.y**2",
+            },
+            4.0,
+            {"y": -1, "v": 8},
+            step=step,
+        ).outputs
+        errors.append([outputs["start"] - 2 * (64 + G), outputs["least"] - 2 * (64 - 5 * G)])
+        assert outputs["most"] == pytest.approx(2 * (64 + G), rel=30 * step**2)
+        # Half a step along the tangent, beyond the circle.
+        assert 1.0 < outputs["far"] < 1.0 + (8 * step) ** 2 / 4
+    assert np.abs(errors[1]).max() < 0.05
+    assert np.array(errors[0]) / errors[1] == pytest.approx(4, rel=0.15)
+
+
+@pytest.mark.parametrize("step", [4e-3, 1e-3])
+def test_a_rope_that_motion_loads_goes_slack(step):
+    """It does at 3 g y = v^2 - 2 g; the parabola meets the circle at the tripled angle from the
+    vertical, on the other side."""
+    y = (36 - 2 * G) / (3 * G)
+    away, speed = math.acos(y), math.sqrt(G * y)
+    late = 4 * math.sin(away) * speed / G
+    outputs = run(
+        "{point: {body: bar}, to: [0, 0], rope: 1}",
+        {
+            "apex": "maximum: bar.y",
+            "least": "minimum: held.V",
+            "taut": "value: bar.x",
+        },
+        _time_on_circle(6, y) + late,
+        {"y": -1, "v": 6},
+        step=step,
+    ).outputs
+    assert outputs["least"] == 0
+    assert outputs["apex"] == pytest.approx(y + (speed * math.sin(away)) ** 2 / (2 * G), abs=step)
+    assert outputs["taut"] == pytest.approx(-math.sin(3 * away), abs=6 * step)
+
+
+def _time_on_circle(speed, height):
+    """Return the time from the bottom of a circle of radius 1 up to a height."""
+    return solve_ivp(
+        lambda t, q: (q[1], -G * math.sin(q[0])),
+        (0.0, 5.0),
+        (0.0, speed),
+        events=[_reaches(height)],
+        rtol=1e-10,
+    ).t[-1]
+
+
+def _reaches(height):
+    def event(t, q):
+        return -math.cos(q[0]) - height
+
+    event.terminal = True
+    return event
+
+
 def test_a_hanging_rope_bears_the_weight():
     outputs = run(
         "{point: {body: bar}, to: [0, 0], rope: 1}", {"V": "value: held.V"}, 0.2, {"y": -1}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from scipy.integrate import solve_ivp
 
 from statechart import Runner
 from statechart.documents.yaml_reader import read_text
@@ -99,3 +100,44 @@ def test_a_guard_on_a_force_fires_where_steps_know_it_first(
     found = Runner(read_text(text), engine="impulse", step=1e-3).run().outputs["t"]
     assert exact == pytest.approx(0.2 if "y" in start else 0.0, abs=1e-9)
     assert found == pytest.approx(first, abs=1e-9)
+
+
+_LANDING = """\
+kind: scene
+name: landing
+gravity: 10
+bodies: {{b: {{mass: 1, start: {{y: {height}}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts:
+  foot: {{point: {{body: b}}, surface: floor, friction: 0.5, stiffness: 3000, damping: 30}}
+regions:
+  r:
+    initial: falls
+    states: {{falls: {{}}, bears: {{}}, light: {{}}}}
+    transitions:
+      - {{name: lands, from: falls, to: bears, on: foot.touchdown}}
+      - {{name: go, from: bears, to: light, guard: foot.V <= 20}}
+stop: {{time: 0.4}}
+outputs: {{t: {{value: time, at: first r.go}}, V: {{value: foot.V, at: first r.lands}}}}
+"""
+
+
+@pytest.mark.parametrize("height", [0.2, 0.2002, 0.2006, 0.201, 0.2015])
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+def test_a_compliant_force_is_that_from_the_touchdown_on(height: float, step: float | None) -> None:
+    """It jumps to d v, and falls below the bound as the point leaves."""
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+    outputs = Runner(read_text(_LANDING.format(height=height)), **setting).run().outputs
+    lands, fast = (2 * height / 10) ** 0.5, (20 * height) ** 0.5
+
+    def light(t: float, q: Any) -> float:
+        return float(-3000 * q[0] - 30 * q[1] - 20)
+
+    flight = solve_ivp(
+        lambda t, q: (q[1], -10 - 3000 * q[0] - 30 * q[1]),
+        (0.0, 0.1), (0.0, -fast), events=light, rtol=1e-10, atol=1e-12,
+    )  # fmt: skip
+    near = 2 * (step or 1e-9)
+    assert outputs["t"] == pytest.approx(lands + flight.t_events[0][-1], abs=near)
+    # 3000 v is the rate of the spring's force.
+    assert outputs["V"] == pytest.approx(30 * fast, abs=3000 * fast * near)

@@ -170,3 +170,43 @@ def test_a_contact_whose_load_begins_at_zero_is_closed_until_it_lifts(
     assert lift.cause == "liftoff"
     near = 1e-9 if isinstance(engine, str) else engine
     assert lift.t == pytest.approx(0.0025, abs=near)
+
+
+CIRCLING = """
+kind: scene
+name: circling
+gravity: 0
+bodies: {b: {mass: 1, start: {x: 1, dy: 2}}}
+HELD
+regions:
+  watch:
+    initial: light
+    states: {light: {}, heavy: {}}
+    transitions: [{name: loads, from: light, to: heavy, guard: c.V >= 3.99}]
+stop: {time: 0.5}
+outputs: {start: {value: c.V, at: start}, least: {minimum: c.V}, most: {maximum: c.V}}
+"""
+
+
+@ENGINES
+@pytest.mark.parametrize("e", [0, 0.5])
+@pytest.mark.parametrize(
+    "held",
+    [
+        "joints: {c: {point: {body: b}, to: [0, 0], rope: 1, restitution: E}}",
+        "surfaces: {drum: {circle: [0, 0], radius: 1, hollow: true}}\n"
+        "contacts: {c: {point: {body: b}, surface: drum, friction: 0, restitution: E}}",
+    ],
+)
+def test_motion_along_a_circle_is_no_impact_at_the_start(
+    held: str, e: float, engine: str | float
+) -> None:
+    """V = v^2/r = 4 at all times."""
+    text = read_text(CIRCLING.replace("HELD", held.replace("E", f"{e}")))
+    steps = {"engine": engine} if isinstance(engine, str) else {"engine": "impulse", "step": engine}
+    result = Runner(text, **steps).run()
+    trace = result.trace
+    assert trace.start_mode[0] in ("slide", "slide+", "slide-")
+    assert [(jump.cause, jump.t) for jump in trace.jumps] == [("loads", 0.0)]
+    for force in result.outputs.values():
+        assert force == pytest.approx(4.0, abs=1e-5)
