@@ -230,9 +230,9 @@ class StepTruths:
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
         true: Bools = margin + _AT_END * h * falling < 0.0
         # A margin that has just come to zero was braked, and need not cross: a strict guard waits
-        # until it leaves zero. Times do cross.
+        # until it leaves zero. Times do cross, constants do not.
         least = self._setup.rounded * size
-        near = ~self._watch.timed & (np.abs(margin) <= least)
+        near = (~self._watch.timed | (rate == 0.0)) & (np.abs(margin) <= least)
         rises = (h * rate > least) | ((h * rate >= -least) & (h * h * second > least))
         # The rates of forces are unknown: they stay if they were zero a step ago.
         stays = np.isfinite(rate) | np.vstack([zero, near[:-1]])

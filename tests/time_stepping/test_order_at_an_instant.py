@@ -202,3 +202,17 @@ def test_a_stop_that_a_transition_turns_back_gives_a_warning(
     turned = [w for w in trace.warnings if w.startswith("met ")]
     # With events only a stop of one relation is named.
     assert step is None or len(turned) == (end is None)
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize("stop", ["k.V >= 30", "k.V > 25", "push >= 20", "not push < 20"])
+@pytest.mark.parametrize(("trigger", "end"), [("after: 0.5", 0.5), ("guard: b.y >= 0", 0.0)])
+def test_a_stop_knows_the_forces_and_controls_of_the_state_just_entered(
+    trigger: str, end: float, stop: str, step: float | None
+) -> None:
+    text = _PRESS.format(
+        body=POINT.replace("START", "start: {y: 0}"), push=0, rest=20, enough=trigger, alarm="1 < 0"
+    ).replace("stop: {time: 1}", f"stop: {{time: 1, conditions: {{met: {stop}}}}}")
+    trace = run(text.replace("restitution: e", "restitution: 0"), step)
+    assert events(trace) == [("c", "enough"), ("", "stop")]
+    assert trace.t_end == pytest.approx(end, abs=2.5 * step if step else 1e-9)
