@@ -89,8 +89,8 @@ class StepControl:
         if not len(chunk.codes):
             return chunk, False
         shown = recorder.recorded_modes(chunk)
-        fires, begins = self._truths.take(chunk, start, np.vstack([recorder.row, shown]))
-        may_act: Bools = np.any(fires, axis=1)
+        due, begins = self._truths.take(chunk, start, np.vstack([recorder.row, shown]))
+        may_act: Bools = np.any(due | begins, axis=1)
         if self._queues.waits(self.states):
             may_act |= recorder.changes(chunk) | np.any(recorder.slips_end(chunk), axis=1)
         may_act[:1] |= self.strikes
@@ -152,7 +152,7 @@ class StepControl:
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._queues.pending_after(pending, jump)
-        failed = set[tuple[int, int]]()
+        failed, known = set[tuple[int, int]](), solved
         if not self._begun:
             self._begun = True
             # No guard was true before the start.
@@ -162,8 +162,8 @@ class StepControl:
             )
         for _ in range(_MOST_TURNS):
             watch = self._states.guards(self.states).watch
-            at_end = time, state[None], solved[None], recorder.row[None]
-            due, truths = self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
+            at_end = time, state[None], known[None], recorder.row[None]
+            due, truths = self._truths.at(recorder.clock.high, state, known, h, recorder.row)
             hold = self._chosen(truths)
             # The transition of another region may have turned some true.
             self._became_true |= hold & failed
@@ -231,7 +231,8 @@ class StepControl:
             # Forces are those of these states. Where the acceleration turns, guards on their bounds
             # wait for the next step: those of an ideal relay would never end at this instant.
             last, (_, solved) = solved, self._next_step(recorder, state, solved, h)
-            solved[: self._n][last[: self._n] * solved[: self._n] < 0.0] = np.nan
+            known = solved.copy()
+            known[: self._n][last[: self._n] * solved[: self._n] < 0.0] = np.nan
             if strikes:
                 self._pending, self.strikes = pending, True
                 self._truths.at(recorder.clock.high, state, solved, h, recorder.row)

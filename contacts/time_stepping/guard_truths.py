@@ -134,9 +134,9 @@ class StepTruths:
         return true
 
     def take(self, chunk: Chunk, start: float, codes: Ints) -> tuple[Bools, Bools]:
-        """Return the guards (m, g) that fire at the ends of steps, and those that become true.
+        """Return the guards (m, g) that are due at the ends of steps, and those that become true.
 
-        The regions have modes `codes` (m + 1, r) at the start and the ends.
+        Both fire. The regions have modes `codes` (m + 1, r) at the start and the ends.
         """
         ends = self._ends(
             chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, self._zero[1:]
@@ -158,7 +158,7 @@ class StepTruths:
         true = self._guards(self._all, codes)
         lasting = ends.true & (self._all[:-1] | ~self._turned)
         begins = self._guards(lasting, self._codes) & ~true[:-1]
-        return self._guards(ends.due, self._codes) | begins, begins
+        return self._guards(ends.due, self._codes), begins
 
     def undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name.

@@ -54,8 +54,10 @@ class StopConditions:
         self._truths = StepTruths(
             guards.mechanics, setup, guards.active, guards.within(states), states
         )
-        # Conditions (k, s) that fire at the ends of the last steps, and those that become true.
-        self._met = self._begins = np.ones((1, len(guards.names)), np.bool_)
+        # Conditions (k, s) at the ends of the last steps: those that fire, and those that do so
+        # although they are about to become false.
+        self._met = np.zeros((1, len(guards.names)), np.bool_)
+        self._passing = ~self._met
         # Condition -> warning that it is true for less than a step.
         self._spans = dict[str, str]()
 
@@ -75,7 +77,14 @@ class StopConditions:
             return None
         self._truths.enter(self._guards.within(recorder.controls), recorder.controls)
         due, true = self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
-        met = due | (true & self._begins[-1])
+        met = due | (true & self._passing[-1])
+        for k in np.flatnonzero(self._met[-1] & ~met).tolist():
+            name = self._guards.names[k]
+            self._spans.setdefault(
+                name,
+                f"{name} is true at t = {recorder.clock.high:.6g}, where a transition of a "
+                "controller turns it back: the run goes on",
+            )
         return int(np.argmax(met)) if met.any() else None
 
     def take(self, chunk: Chunk, start: float, recorder: Recorder) -> None:
@@ -84,7 +93,8 @@ class StopConditions:
             return
         self._truths.enter(self._guards.within(recorder.controls), recorder.controls)
         codes = np.vstack([recorder.row, recorder.recorded_modes(chunk)])
-        self._met, self._begins = self._truths.take(chunk, start, codes)
+        due, begins = self._truths.take(chunk, start, codes)
+        self._met, self._passing = due | begins, begins & ~due
 
     def first_met(self, chunk: Chunk) -> tuple[int, int] | None:
         """Return (step, condition) of the first condition that fires at the end of a step."""
@@ -101,7 +111,7 @@ class StopConditions:
     def accept(self, chunk: Chunk, start: float, end: float) -> None:
         """Continue after steps, the first of those taken last, until the run is at `end`."""
         if self._guards.names:
-            self._begins = self._begins[: len(chunk.codes)]
+            self._met, self._passing = (x[: len(chunk.codes)] for x in (self._met, self._passing))
             self._spans = self._truths.accept(chunk, start, end) | self._spans
 
     def locate(self, recorder: Recorder, condition: int) -> tuple[Arc, bool]:

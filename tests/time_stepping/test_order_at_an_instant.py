@@ -183,3 +183,22 @@ def test_a_guard_of_a_state_just_entered_knows_its_forces(
             )
         fired = [jump.t for jump in run(scene, step).jumps if jump.region == "c"]
         assert fired == [pytest.approx(t, abs=2.5 * step if step else 1e-9) for t in times]
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize("speed", [1.0, 1.0003])
+@pytest.mark.parametrize(("back", "end"), [(20, None), (5, 1.0)])
+def test_a_stop_that_a_transition_turns_back_gives_a_warning(
+    back: float, end: float | None, speed: float, step: float | None
+) -> None:
+    """The rate falls as 10 t until 0.5, and rises again if the controller pushes with 20."""
+    body = "bodies: {b: {mass: 1, START}}\n".replace("START", f"start: {{dy: {5 * speed}}}")
+    push = "controls: {F: 0}\nforces: {f: {body: b, force: [0, F]}}\n"
+    text = SCENE.format(
+        body=body + push, go="to: b, guard: b.dy <= 0", stop="b.dy <= 0 and time > 0.1"
+    ).replace("b: {}}", f"b: {{sets: {{F: {back}}}}}}}")
+    trace = run(text, step)
+    assert trace.t_end == pytest.approx(1 if end is None else speed / 2, abs=step or 1e-9)
+    turned = [w for w in trace.warnings if w.startswith("met ")]
+    # With events only a stop of one relation is named.
+    assert step is None or len(turned) == (end is None)
