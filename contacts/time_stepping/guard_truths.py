@@ -84,9 +84,9 @@ class StepTruths:
         states: Key,
     ) -> None:
         self._setup, self._regions, self._n = setup, regions, len(mechanics.q)
-        solved = mechanics.solved
         # Places of the unknowns of guards among those of steps.
-        self.order = [solved.index(symbol) for symbol in guards.unknowns]
+        places = {symbol: i for i, symbol in enumerate(mechanics.solved)}
+        self.order = [places[symbol] for symbol in guards.unknowns]
         self.enter(guards, states)
         count = len(guards.watch.margins)
         # Atoms at the end of the last step, and those at zero there and a step before.
