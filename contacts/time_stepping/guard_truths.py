@@ -194,7 +194,7 @@ class StepTruths:
                     name,
                     f"{name} is true within the step of {chunk.h:g} at t = "
                     f"{start + k * chunk.h:.6g}, at neither end: steps pass over it; use a "
-                    "shorter step",
+                    "shorter step, or for a single instant one comparison by <= or >=",
                 )
         atoms, codes = self._all[1 : count + 1], self._codes[:count]
         unknown = np.isnan(self._at.margins[:count])
@@ -267,12 +267,15 @@ class StepTruths:
         cubics = np.array([2.0 * (a - b) + c + d, 3.0 * (b - a) - 2.0 * c - d, c, a])
         roots = [np.roots(cubic) for cubic in cubics.T if np.isfinite(cubic).all()]
         real = np.array([x.real for x in chain(*roots) if x.imag == 0.0])
-        shares = np.sort(np.append(real[(real > _AT_END) & (real < 1.0 - _AT_END)], [0.0, 1.0]))
-        middles = 0.5 * (shares[:-1] + shares[1:])
-        middles = middles[times[0] + middles * h < end]
-        at = np.array([np.polyval(cubics, share) for share in middles]).reshape(-1, len(a))
+        crossings = real[(real > _AT_END) & (real < 1.0 - _AT_END)]
+        shares = np.sort(np.append(crossings, [0.0, 1.0]))
+        shares = np.hstack([crossings, 1.0, 0.5 * (shares[:-1] + shares[1:])])
+        shares = shares[times[0] + shares * h <= end]
+        at = np.array([np.polyval(cubics, share) for share in shares]).reshape(-1, len(a))
         first, last = self._all[k : k + 2]
-        inside = np.where(np.abs(at) <= self._at.zero[k], last, at < 0.0)
+        # Atoms that cross zero at the same instant may hold there alone.
+        on_zero = np.where(first != last, self._watch.closed, last)
+        inside = np.where(np.abs(at) <= self._at.zero[k], on_zero, at < 0.0)
         inside = np.where(self._turned[k], first & last, inside)
         # The impact may be anywhere in the step.
         parts = (np.where(self._jumped[k], side, inside) for side in (first, last))

@@ -855,6 +855,31 @@ stop: {{time: 0.8}}
     )
 
 
+@pytest.mark.parametrize("guard", ["abs(b.dy) <= 0", "b.dy <= 0 and b.dy >= 0"])
+@pytest.mark.parametrize(("speed", "start"), [(4.003, "0.4"), (4.0, "0.399")])
+def test_steps_warn_of_relations_that_are_true_at_an_instant_only(
+    guard: str, speed: float, start: str
+) -> None:
+    # The summit is at 0.4003 or 0.4, within a step or at its end.
+    text = f"""
+kind: scene
+name: summit
+gravity: 10
+bodies: {{b: {{mass: 1, start: {{dy: {speed}}}}}}}
+regions:
+  r:
+    initial: a
+    states: {{a: {{}}, b: {{}}}}
+    transitions: [{{name: top, from: a, to: b, guard: "{guard}"}}]
+stop: {{time: 1}}
+"""
+    model = interpret(read_text(text))
+    [jump] = statechart.run(model).trace.jumps
+    assert jump.t == pytest.approx(speed / 10, abs=1e-12)
+    [warning] = [w for w in by_steps(model, 1e-3).warnings if "within" in w]
+    assert warning.startswith(f"r.top is true within the step of 0.001 at t = {start}, at neither")
+
+
 PASSING = """
 kind: scene
 name: passing
