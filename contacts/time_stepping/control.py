@@ -29,6 +29,7 @@ from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.guard_truths import ActiveStates, StepTruths
 from contacts.time_stepping.recorder import Recorder
+from contacts.time_stepping.stop_conditions import StopConditions
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
@@ -128,11 +129,13 @@ class StepControl:
         )
 
     def turn(
-        self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
-    ) -> tuple[Array, Array]:
+        self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float,
+        stops: StopConditions,
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Take the transitions due at the end of a step; return state and unknowns after them.
 
-        The step has these jumps, and unknowns `solved` (u,).
+        The step has these jumps, and unknowns `solved` (u,). These are solved for anew only where
+        guards or stop conditions may read them.
 
         Raises `EventLoop` if they do not end.
         """
@@ -230,9 +233,11 @@ class StepControl:
             pending, state = self._queues.pending_after(firing.pending, jump), after
             # Forces are those of these states. Where the acceleration turns, guards on their bounds
             # wait for the next step: those of an ideal relay would never end at this instant.
-            last, (_, solved) = solved, self._next_step(recorder, state, solved, h)
-            known = solved.copy()
-            known[: self._n][last[: self._n] * solved[: self._n] < 0.0] = np.nan
+            at = recorder.clock.high, state, solved
+            if self._truths.read_unknowns(*at) or stops.read_unknowns(recorder, state, solved):
+                last, (_, solved) = solved, self._next_step(recorder, state, solved, h)
+                known = solved.copy()
+                known[: self._n][last[: self._n] * solved[: self._n] < 0.0] = np.nan
             if strikes:
                 self._pending, self.strikes = pending, True
                 self._truths.at(recorder.clock.high, state, solved, h, recorder.row)

@@ -127,6 +127,15 @@ class StepTruths:
         self._known |= ends.true[0] & unknown.any()
         return due, true
 
+    def read_unknowns(self, time: float, state: Array, solved: Array) -> bool:
+        """Return whether accelerations or forces may decide a guard at an instant.
+
+        They do so where a margin depends on them, or is not above zero: their rates do.
+        """
+        unknown = np.full_like(solved, np.nan)
+        margins, sizes = self.table(np.array([time]), state[None], unknown[None])[0].T
+        return not bool(np.all(margins > self._setup.rounded * sizes))
+
     def true_at(self, time: float, state: Array, solved: Array, h: float, codes: Ints) -> Bools:
         """Return the guards (g,) that are true at an instant of the steps that `take` had last."""
         ends = self._ends(np.array([time]), state[None], solved[None], h, self._zero[:1])
@@ -225,7 +234,7 @@ class StepTruths:
     def _ends(self, times: Array, states: Array, solved: Array, h: float, zero: Bools) -> _Ends:
         """Return the atoms at the ends of steps; `zero` (1, a) were at zero a step before."""
         margin, size = np.moveaxis(self.table(times, states, solved, 0), -1, 0)
-        rate, second = (self.table(times, states, solved, order)[..., 0] for order in (1, 2))
+        rate = self.table(times, states, solved, 1)[..., 0]
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
         true: Bools = margin + _AT_END * h * falling < 0.0
@@ -233,7 +242,10 @@ class StepTruths:
         # until it leaves zero. Times do cross, constants do not.
         least = self._setup.rounded * size
         near = (~self._watch.timed | (rate == 0.0)) & (np.abs(margin) <= least)
-        rises = (h * rate > least) | ((h * rate >= -least) & (h * h * second > least))
+        rises: Bools = h * rate > least
+        if near.any():
+            second = self.table(times, states, solved, 2)[..., 0]
+            rises |= (h * rate >= -least) & (h * h * second > least)
         # The rates of forces are unknown: they stay if they were zero a step ago.
         stays = np.isfinite(rate) | np.vstack([zero, near[:-1]])
         true = np.where(near, self._watch.closed & stays & ~rises, true)

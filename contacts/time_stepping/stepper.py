@@ -172,7 +172,9 @@ class SteppedRun:
         step, until = self.request.step, self.request.until
         solved, control = self._inputs.solved, self.control
         if control is not None:
-            self.state, solved = control.turn(self.recorder, (), self.state, solved, step)
+            self.state, solved = control.turn(
+                self.recorder, (), self.state, solved, step, self.stops
+            )
         # As with events, a run of no duration reaches its end time.
         met = self._met_after_controllers(solved, step) if until else None
         if met is not None:
@@ -287,7 +289,9 @@ class SteppedRun:
             if due:
                 control.stick(chunk, recorder, h)
             transitions, fresh = len(recorder.control_jumps), recorder.since(jumps)
-            self.state, solved = control.turn(recorder, fresh, self.state, chunk.solved[-1], h)
+            self.state, solved = control.turn(
+                recorder, fresh, self.state, chunk.solved[-1], h, self.stops
+            )
             if len(recorder.control_jumps) > transitions:
                 met, last = self._met_after_controllers(solved, h), None
         if met is not None:
