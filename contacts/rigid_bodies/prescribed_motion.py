@@ -126,6 +126,10 @@ class PrescribedMotion:
         found = self._paths.at(self._values, np.array([time]), remembered[None], self._states)
         return found.reshape(-1, 3)
 
+    def save(self) -> None:
+        """Let `forget` revert all steps from here on."""
+        self._saved, self._saved_end = self._last, self._end
+
     def forget(self) -> None:
         """Revert the last steps."""
         self._last, self._end = self._saved, self._saved_end
@@ -153,7 +157,6 @@ class PrescribedMotion:
         before = _previous_poses(self.poses(times[0], memories[0]), midpoints[0])
         if self._last is not None and self._last[1] == h and not self.jumped(start, remembered):
             before = self._last[0]
-        self._saved, self._saved_end = self._last, self._end
         self._looks, self._h, self._ends = midpoints, h, (times[2::2], memories[2::2])
         rows, known = np.concatenate([before[None], midpoints]), len(midpoints)
         lost = ~np.isfinite(rows).all(axis=2)

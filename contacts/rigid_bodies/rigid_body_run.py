@@ -441,6 +441,7 @@ class RigidBodyRun(SteppedSystem):
         if self._prescribed.controlled:
             # Steps beyond a transition of a controller are reverted.
             self._saved, self._before = self._warm.copy(), (self._added, self._moved)
+        self._prescribed.save()
         if self._gain_error is not None:
             raise self._gain_error
         self._check_forces(start, h, state)
