@@ -234,7 +234,11 @@ class StepControl:
             # Forces are those of these states. Where the acceleration turns, guards on their bounds
             # wait for the next step: those of an ideal relay would never end at this instant.
             at = recorder.clock.high, state, solved
-            if self._truths.read_unknowns(*at) or stops.read_unknowns(recorder, state, solved):
+            if (
+                self._truths.read_unknowns(*at)
+                or stops.read_unknowns(recorder, state, solved)
+                or (pending and self._listeners_read_unknowns(recorder.clock.high, state))
+            ):
                 last, (_, solved) = solved, self._next_step(recorder, state, solved, h)
                 known = solved.copy()
                 known[: self._n][last[: self._n] * solved[: self._n] < 0.0] = np.nan
@@ -250,6 +254,13 @@ class StepControl:
             f"more than {_MOST_TURNS} transitions of controllers at one instant: "
             f"{', '.join(listed)}"
         )
+
+    def _listeners_read_unknowns(self, time: float, state: Array) -> bool:
+        """Return whether guards of transitions on events depend on accelerations or forces."""
+        guards = self._states.guards(self.states, at_events=True)
+        unknown = np.full((1, len(guards.unknowns)), np.nan)
+        rows = guards.table(self._setup, np.array([time]), state[None], unknown)
+        return bool(np.isnan(rows[..., 0]).any())
 
     def _next_step(
         self, recorder: Recorder, state: Array, solved: Array, h: float

@@ -282,7 +282,7 @@ class StepTruths:
         crossings = real[(real > _AT_END) & (real < 1.0 - _AT_END)]
         shares = np.sort(np.append(crossings, [0.0, 1.0]))
         shares = np.hstack([crossings, 1.0, 0.5 * (shares[:-1] + shares[1:])])
-        shares = shares[times[0] + shares * h <= end]
+        shares = shares[times[0] + shares * h <= end + _AT_END * h]
         at = np.array([np.polyval(cubics, share) for share in shares]).reshape(-1, len(a))
         first, last = self._all[k : k + 2]
         # Atoms that cross zero at the same instant may hold there alone.

@@ -186,6 +186,24 @@ def test_a_guard_of_a_state_just_entered_knows_its_forces(
 
 
 @pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize(("push", "rest"), [(20, 0), (0, 20)])
+def test_a_listener_to_a_transition_knows_the_forces_of_the_state_entered(
+    push: int, rest: int, step: float | None
+) -> None:
+    body = POINT.replace("START", "start: {y: 0}").replace("restitution: e", "restitution: 0")
+    text = _PRESS.format(body=body, push=push, rest=rest, enough="after: 0.5", alarm="1 < 0")
+    listener = """  d:
+    initial: quiet
+    states: {quiet: {}, alarm: {}}
+    transitions: [{name: alarm, from: quiet, to: alarm, on: c.enough, guard: "k.V >= 15"}]
+"""
+    text = text.replace("stop: {time", listener + "stop: {time")
+    # The force is 10 + push, and that of the state entered 10 + rest.
+    fired = [jump.cause for jump in run(text, step).jumps]
+    assert fired == ["enough", "alarm"][: 2 if rest else 1]
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
 @pytest.mark.parametrize("speed", [1.0, 1.0003])
 @pytest.mark.parametrize(("back", "end"), [(20, None), (5, 1.0)])
 def test_a_stop_that_a_transition_turns_back_gives_a_warning(
