@@ -233,10 +233,9 @@ class StepControl:
             pending, state = self._queues.pending_after(firing.pending, jump), after
             # Forces are those of these states. Where the acceleration turns, guards on their bounds
             # wait for the next step: those of an ideal relay would never end at this instant.
-            at = recorder.clock.high, state, solved
             if (
-                self._truths.read_unknowns(*at)
-                or stops.read_unknowns(recorder, state, solved)
+                self._truths.read_unknowns(recorder.clock.high, state)
+                or stops.read_unknowns(recorder, state)
                 or (pending and self._listeners_read_unknowns(recorder.clock.high, state))
             ):
                 last, (_, solved) = solved, self._next_step(recorder, state, solved, h)
@@ -258,9 +257,7 @@ class StepControl:
     def _listeners_read_unknowns(self, time: float, state: Array) -> bool:
         """Return whether guards of transitions on events depend on accelerations or forces."""
         guards = self._states.guards(self.states, at_events=True)
-        unknown = np.full((1, len(guards.unknowns)), np.nan)
-        rows = guards.table(self._setup, np.array([time]), state[None], unknown)
-        return bool(np.isnan(rows[..., 0]).any())
+        return bool(np.isnan(guards.atoms_at(self._setup, time, state)[:, 0]).any())
 
     def _next_step(
         self, recorder: Recorder, state: Array, solved: Array, h: float

@@ -127,13 +127,12 @@ class StepTruths:
         self._known |= ends.true[0] & unknown.any()
         return due, true
 
-    def read_unknowns(self, time: float, state: Array, solved: Array) -> bool:
+    def read_unknowns(self, time: float, state: Array) -> bool:
         """Return whether accelerations or forces may decide a guard at an instant.
 
         They do so where a margin depends on them, or is not above zero: their rates do.
         """
-        unknown = np.full_like(solved, np.nan)
-        margins, sizes = self.table(np.array([time]), state[None], unknown[None])[0].T
+        margins, sizes = self._controlled.atoms_at(self._setup, time, state).T
         return not bool(np.all(margins > self._setup.rounded * sizes))
 
     def true_at(self, time: float, state: Array, solved: Array, h: float, codes: Ints) -> Bools:

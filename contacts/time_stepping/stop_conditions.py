@@ -66,12 +66,12 @@ class StopConditions:
         """Warnings of conditions that steps pass over."""
         return tuple(self._spans.values())
 
-    def read_unknowns(self, recorder: Recorder, state: Array, solved: Array) -> bool:
+    def read_unknowns(self, recorder: Recorder, state: Array) -> bool:
         """Return whether accelerations or forces may decide a condition after transitions."""
         if not self._guards.names:
             return False
         self._truths.enter(self._guards.within(recorder.controls), recorder.controls)
-        return self._truths.read_unknowns(recorder.clock.high, state, solved)
+        return self._truths.read_unknowns(recorder.clock.high, state)
 
     def after_controllers(
         self, recorder: Recorder, state: Array, solved: Array, h: float
