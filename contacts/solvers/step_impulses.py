@@ -88,7 +88,8 @@ def change_friction(contacts: ContactRows, island: Island, resting: float, struc
     A slip that would reverse in the step stops if static friction can hold it over the whole step;
     in an impact (`struck`) kinetic friction stops or reverses it. A contact that static friction
     does not hold slips under kinetic friction: contacts that slipped before the step (faster than
-    `resting`) first, then one at a time the most overloaded, because each relieves the others. A
+    `resting`) first, then one at a time the most overloaded, because each relieves the others. It
+    begins to slip after other contacts have stopped, which static friction then holds if it can. A
     contact switches three times at most.
     """
     ways, first, most, way, changes = island.slip_directions, -1, 0.0, 0, False
@@ -120,6 +121,11 @@ def change_friction(contacts: ContactRows, island: Island, resting: float, struc
             ways[a], changes = 0, True
             island.bias[a, 1] += island.start[a, 1]
     if first >= 0:
+        for a in range(len(ways)):
+            old, pushes, slip = ways[a], island.chosen[a], island.after[a, 1]
+            stopped = abs(old) == 1 and not is_sliding(contacts.cones[a], pushes, slip)
+            if stopped and not struck and island.kinds[a] != ONE and pushes[0] > 0.0:
+                _write_friction(contacts, island, a, 0)
         _write_friction(contacts, island, first, way)
     return changes or first >= 0
 

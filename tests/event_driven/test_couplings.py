@@ -1100,3 +1100,31 @@ stop: {time: 2}
     ((_, t),) = events(trace)
     assert t == pytest.approx(1.0, abs=1.1 * late)
     assert any("'pivot' slips up to" in warning for warning in trace.warnings) == (late > 1e-6)
+
+
+STOPPING = """
+kind: scene
+name: stopping
+parameters: {start: 1}
+bodies:
+  one: {mass: 1, inertia: 1, position: [0, 0], angle: a}
+  two: {mass: 1, inertia: 1, position: [1, 0], angle: c}
+coordinates: {a: {}, c: {rate: start}}
+couplings:
+  brake: {bodies: [one], limit: {static: 5.5, kinetic: 2}}
+  clutch: {bodies: [one, two], limit: {static: 3, kinetic: 1}}
+forces: {turn: {body: one, moment: -6}}
+stop: {time: 1.5}
+"""
+
+
+@pytest.mark.parametrize("start", [1.0, 1.0021, 1.0037, 1.005, 1.0063, 1.0079])
+def test_a_clutch_that_stops_is_held_while_the_brake_lets_go(start: float) -> None:
+    # The clutch stops at t = start and then bears 0 instead of -1: the brake would bear 6. Locked,
+    # it needs 2 of 3 at the common acceleration (-6 + 2)/2.
+    document = interpret(read_text(STOPPING))
+    for step in (1e-2, 1e-3):
+        result = statechart.run(document, engine="impulse", step=step, parameters={"start": start})
+        rates = result.trace.final[2:4]
+        np.testing.assert_allclose(rates, -2.0 * (1.5 - start), atol=2.0 * step)
+        assert result.trace.arcs[-1].mode == ("slip-", "locked")
