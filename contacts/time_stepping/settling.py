@@ -12,7 +12,8 @@ with the velocities after the step, until its impulses agree. Zero are quantitie
 of acceleration explain: gaps up to ``16 h^2 a`` and their rates; slips against the mode of the
 previous step up to ``4 h a`` while the contact is loaded, and slips that end within four steps;
 accelerations of order ``h a`` only after an impact or against the impulses; slips of couplings
-after a landing up to ``4 h a``, with the sizes a of all terms.
+after a landing up to ``4 h a``, with the sizes a of all terms. Beside compliant contacts, without a
+landing, slips are those of the steps: a foot beside a pinned compliant one creeps.
 """
 
 from __future__ import annotations
@@ -238,6 +239,8 @@ def settle(
         _add_yielding_forces(scene, memory, tape, equations, chunk.codes[k], h, moving)
     free, sizes = np.zeros((c, 2)), np.zeros((c, 2))
     closed, near, landed = np.zeros(c, np.bool_), np.zeros(c, np.bool_), False
+    bears = ~memory.disabled & (chunk.codes[k] != FREE)
+    yields = bool((bears & (scene.compliance[:, 0] > 0.0)).any())
     for i in range(c):
         _write_accelerations(tape, i, moving, free[i], sizes[i])
         if _is_yielding(scene, i):
@@ -277,7 +280,7 @@ def settle(
             # Forces decide the slip that an impact leaves to a brake.
             brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
             against[a] = against[a] or brakes[a]
-        ended, solved, forces = False, False, np.zeros((m, 2))
+        ended, solved, forces = yields and not landed, False, np.zeros((m, 2))
         pads, _ = normal_pads(scene, tape, which, columns, h)
         for a in range(m):
             delassus[2 * a, 2 * a] += pads[a]
