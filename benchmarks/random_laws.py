@@ -38,7 +38,7 @@ TOLERANCE = 1e-13  # of SciPy: a slip of 1e-10 that reverses is late by more wit
 AGREE, NEAR = 1e-6, 0.02  # of final states and times of events: engines; steps
 # Of final motions: engines may count bounces within 1e-6 s, and what each starts, apart.
 SAME = 1e-9
-LONGEST = 60.0  # seconds of a structure: the draw that takes them is refused, others are left out
+LONGEST = 60.0  # seconds of a structure: the draw that takes them and later ones are refused
 KINDS = "right", "warned", "wrong", "refused", "amplified"
 
 # A scene as lines of its sections, such as {"bodies": ["b: {mass: 1}"]}.
@@ -466,6 +466,7 @@ def main(file: str, structures: int = 200, draws: int = 10, seed: int = 0) -> in
             values = draw.values(text, f"{one} {index}")
             left = LONGEST - (time.process_time() - began)
             if left <= 0.0:
+                judged[one] += [["refused", "left out"]] * (draws - index)
                 break
             signal.setitimer(signal.ITIMER_PROF, left)
             try:
