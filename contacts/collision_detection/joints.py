@@ -243,6 +243,7 @@ def add_joints(
         if place >= 0 and warm.contacts[place, 9] == 0.0:
             # It was off then.
             place = -1
+        active.landings[m] = 1.0 if place < 0 else 0.0
         active.levels[m, 0] = active.levels[m, 1] = 0.0
         _write_rows(numbers, j, mid, warm, place, h, m, active)
         if on and active.bodies[m, 1] < 0:
