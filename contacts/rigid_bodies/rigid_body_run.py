@@ -427,8 +427,8 @@ class RigidBodyRun(SteppedSystem):
             joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
             parted = (
                 f"{pluralise(self._parted, 'step')} of {self._length:.6g} had to be split into up "
-                f"to {self._most_parts} parts: bodies would pass through each other, or turn by "
-                f"more than half a turn{joints}"
+                f"to {self._most_parts} parts: bodies would pass through each other, "
+                f"rebound far off, or turn by more than half a turn{joints}"
             )
             helps = self._most_parts < _PARTS[-1]
             too_long.append((parted, self._length / self._most_parts if helps else math.inf))
