@@ -118,6 +118,12 @@ def scene_parameters(scene: Scene) -> Parameters:
     def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
         expressions = _derived(scene, known)
         expressions |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
+        for name, joint in scene.joints.items():
+            # Set at the start of a run by `contacts.solvers.dependence.dependent_rows`.
+            expressions |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
+            if joint.angle is not None and not joint.enabled:
+                turns = [_turn(scene, end.body, known) for end in joint.ends.values()]
+                expressions[f"{name}.turn0"] = turns[0] - sp.Add(*turns[1:])
         if has_switches(scene):
             expressions |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
         expressions |= _sizes(scene, len(scene.variables))
@@ -164,7 +170,7 @@ def body_parameters(scene: Scene, coordinates: int) -> Parameters:
 
 
 def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
-    """Return the coefficients of contacts, moments of inertia, redundancies of joints."""
+    """Return the coefficients of contacts and moments of inertia."""
     result: dict[str, sp.Expr] = {}
 
     def in_states(text: FormulaText) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
@@ -189,12 +195,6 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
     for name, body in scene.bodies.items():
         if body.inertia is not None:
             result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
-    for name, joint in scene.joints.items():
-        # Set at the start of a run by `contacts.solvers.dependence.dependent_rows`.
-        result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
-        if joint.angle is not None and not joint.enabled:
-            turns = [_turn(scene, end.body, known) for end in joint.ends.values()]
-            result[f"{name}.turn0"] = turns[0] - sp.Add(*turns[1:])
     return result
 
 
