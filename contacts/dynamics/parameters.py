@@ -202,7 +202,7 @@ def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
     """Return initial positions, rates and controllers' variables; then levers of the bodies."""
     texts = [*scene.starts().values(), *scene.controlled.controller_state.values()]
     begins = [parse(text).to_sympy(known) for text in texts]
-    return [*begins, *(_lever(scene, name, known) for name in scene.bodies)]
+    return [*begins, *_levers(scene, known)]
 
 
 def _turn(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
@@ -211,18 +211,20 @@ def _turn(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     return parse(scene.bodies[name].path[2]).to_sympy({**known, **starts})
 
 
-def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
-    """Return mass times the longest arm squared of the body's contact points and joints."""
+def _levers(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
+    """Return mass times the longest arm squared of every body's contact points and joints."""
     points = [(contact.point, contact.radius or 0) for contact in scene.contacts.values()]
     for joint in scene.joints.values():
         # A captured position is known when the joint closes.
         ends = joint.ends.values() if joint.rest is None else (joint.point,)
         points += [(end, 0) for end in ends]
-    arms = [
-        sp.Add(*(parse(text).to_sympy(known) ** 2 for text in (*point.at, radius)))
-        for point, radius in points
-        if point.body == name
-    ]
-    mass = parse(scene.bodies[name].mass).to_sympy(known)
+    arms: dict[str, list[sp.Expr]] = {name: [] for name in scene.bodies}
+    for point, radius in points:
+        squares = (parse(text).to_sympy(known) ** 2 for text in (*point.at, radius))
+        arms[point.body].append(sp.Add(*squares))
     # Unevaluated: SymPy takes half a second to decide which arm is the longest.
-    return mass * (Max(*arms, evaluate=False) if arms else sp.S.Zero)
+    return [
+        parse(scene.bodies[name].mass).to_sympy(known)
+        * (Max(*lengths, evaluate=False) if lengths else sp.S.Zero)
+        for name, lengths in arms.items()
+    ]

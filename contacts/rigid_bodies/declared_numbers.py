@@ -414,10 +414,10 @@ class LinkedMechanics(Mechanics):
         """The tape of `LinkNumbers`."""
         frames = [self.body_frame(name) for name in self.scene.bodies]
         poses = [part for (x, y), angle in frames for part in (x, y, angle)]
-        gradients = [part for pose in poses for part in self.gradient(pose)]
+        rows = self.dense((*map(self.gradient, poses), *self.mass_matrix))
         forces = self.generalised_forces
         damping = [derivative(force, rate) for force in forces for rate in self.v]
-        return self.tape([*poses, *gradients, *self.mass_matrix, *damping, *forces])
+        return self.tape([*poses, *rows, *damping, *forces])
 
     @cached_property
     def firsts(self) -> Ints:
