@@ -599,3 +599,12 @@ def test_copies_are_welded_to_copies_of_led_bodies() -> None:
     more = "joints: {j: {point: {body: bob1}, to: {body: pivot1, at: [0, -0.5]}, angle: held}}"
     y = _run(bodies, HANGS, more).trace.final[4]
     assert y == pytest.approx(0.1 * math.sin(1) - 0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("joined", [True, False])
+def test_a_led_body_that_collides_with_nothing_may_be_the_end_of_a_joint(joined: bool) -> None:
+    bodies = f"  pivot: {PIVOT.replace('W', '0')}\n  bob: {{{BOB}, start: {{y: -0.5, dx: 0.3}}}}"
+    law = "  all: {bodies: [bob], friction: 0.3, restitution: 0}"
+    more = "joints: {j: {point: {body: bob, at: [0, 0.5]}, to: {body: pivot}}}" if joined else ""
+    found = _run(bodies, law, more, until=0.01).trace.warnings
+    assert any("pivot: it collides with nothing" in text for text in found) != joined
