@@ -96,14 +96,15 @@ class SceneNumbers:
         rows = [row for row in mechanics.joint_rows if row.closed is None]
         self._joint_names = tuple(row.joint for row in rows)
         self._redundant = [self.places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
-        self._joint_tape = mechanics.tape([entry for row in rows for entry in row.jacobian])
+        self._joint_tape = mechanics.tape(mechanics.dense(row.jacobian for row in rows))
         # Bodies, and the indices of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self.lint = (*lint(scene), *_unpressed(mechanics), *undecided_couplings(mechanics))
         masses = {n: sp.Abs(mechanics.formula(body.mass)) for n, body in scene.bodies.items()}
         # Their shares in the mass of all bodies.
         self._unloaded = _unloaded_bodies(scene)
-        shares = [masses[name] / sp.Add(*masses.values()) for name in self._unloaded]
+        total = sp.Add(*masses.values())
+        shares = [masses[name] / total for name in self._unloaded]
         self._shares = mechanics.tape(shares)
         # Quantities with limits `bounds` (2, l), physical ones and shares of light bodies; None if
         # controllers set some of them.
@@ -334,7 +335,7 @@ def _unpressed(mechanics: Mechanics) -> Iterator[str]:
     names = [
         name
         for name, contact in mechanics.scene.contacts.items()
-        if not contact.frictionless and not any(mechanics.contact(name).jacobian_n)
+        if not contact.frictionless and not mechanics.contact(name).jacobian_n
     ]
     if names:
         yield (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -391,6 +392,25 @@ def test_a_joint_open_at_the_start_is_named_with_the_position_that_closes_it() -
     )
     assert "a position that closes all: " in problem.advice
     assert "rod.y = " in problem.advice
+
+
+def test_advice_on_an_open_joint_closes_it() -> None:
+    # Copied from a report of seven digits.
+    start = {"x": 0.4207355, "y": -0.2701512, "angle": 1.0, "dx": 0.1350756, "dy": 0.2103677}
+    start["dangle"] = 0.5
+    for _ in range(2):
+        listed = ", ".join(f"{key}: {value!r}" for key, value in start.items())
+        text = f"""
+kind: scene
+name: copied
+bodies: {{rod: {{mass: 1, inertia: 1/12, start: {{{listed}}}}}}}
+joints: {{hook: {{point: {{body: rod, at: [0, 0.5]}}, to: [0, 0]}}}}
+"""
+        for key, value in re.findall(r"rod\.(\w+) = ([-.e\d]+)", _refused(text).advice):
+            start[key] = float(value)
+    listed = ", ".join(f"{key}: {value!r}" for key, value in start.items())
+    closed = automaton(_read(re.sub(r"start: \{.*?\}", f"start: {{{listed}}}", text)))
+    Simulator(closed, Taylor(1e-12)).run(until=0.1)
 
 
 def test_a_loop_that_cannot_close_is_refused() -> None:
