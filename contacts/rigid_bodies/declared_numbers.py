@@ -282,7 +282,8 @@ def closed_joints(
     points, sizes = joints.points.copy(), joints.sizes.copy()
     _, ends, speeds = joint_ends(joints, moved)
     way, parting = ends[:, 1] - ends[:, 0], speeds[:, 1] - speeds[:, 0]
-    across, held = way * _HELD[joints.kinds, :2], parting * _HELD[joints.kinds, :2]
+    # No negative zeros.
+    across, held = way * _HELD[joints.kinds, :2] + 0.0, parting * _HELD[joints.kinds, :2] + 0.0
     open_by = openings(joints, ends)
     one, other = joints.bodies.T
     angles = moved[0, one, 2] - moved[0, other, 2]

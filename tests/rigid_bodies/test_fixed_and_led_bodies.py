@@ -591,6 +591,27 @@ regions:
     assert "jumps at t = 0.5, and the points of joint 'j' are 0.2 apart" in str(trace.message)
 
 
+def test_an_angle_that_jumps_off_a_weld_ends_the_run() -> None:
+    bodies = f"""
+  pivot: {{position: [0, 0], angle: s, shape: {{disc: 0.05}}}}
+  bob: {{{BOB}}}
+"""
+    more = """
+joints: {j: {point: {body: bob}, to: {body: pivot}, angle: held}}
+regions:
+  r:
+    initial: a
+    variables: {s: 0}
+    states: {a: {flows: {s: 1}}, b: {entry: {s: s + TO}, flows: {s: 1}}}
+    transitions: [{name: go, from: a, to: b, guard: time >= 0.5}]
+"""
+    trace = _run(bodies, HANGS, more.replace("TO", "0.3"), throw=False).trace
+    assert trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "joint 'j'" in str(trace.message)
+    turned = _run(bodies, HANGS, more.replace("TO", "0")).trace.final[2]
+    assert turned == pytest.approx(1.0, abs=1e-3)
+
+
 def test_copies_are_welded_to_copies_of_led_bodies() -> None:
     bodies = f"""
   pivot: {{copies: 2, position: [index, 0.1*sin(time)], shape: {{disc: 0.05}}}}
@@ -599,3 +620,12 @@ def test_copies_are_welded_to_copies_of_led_bodies() -> None:
     more = "joints: {j: {point: {body: bob1}, to: {body: pivot1, at: [0, -0.5]}, angle: held}}"
     y = _run(bodies, HANGS, more).trace.final[4]
     assert y == pytest.approx(0.1 * math.sin(1) - 0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("joined", [True, False])
+def test_a_led_body_that_collides_with_nothing_may_be_the_end_of_a_joint(joined: bool) -> None:
+    bodies = f"  pivot: {PIVOT.replace('W', '0')}\n  bob: {{{BOB}, start: {{y: -0.5, dx: 0.3}}}}"
+    law = "  all: {bodies: [bob], friction: 0.3, restitution: 0}"
+    more = "joints: {j: {point: {body: bob, at: [0, 0.5]}, to: {body: pivot}}}" if joined else ""
+    found = _run(bodies, law, more, until=0.01).trace.warnings
+    assert any("pivot: it collides with nothing" in text for text in found) != joined
