@@ -339,7 +339,12 @@ class RigidBodyRun(SteppedSystem):
         joints = self.numbers.joints
         _, ends, speeds = joint_ends(joints, moved)
         distances, size = openings(joints, ends), float(self.numbers.sizes[: self._moving].max())
-        allowed = 2.0 * self._length * np.hypot(*speeds.T).sum(axis=0) + _JUMPED_INTO * size
+        speeds, turns, welds = np.hypot(*speeds.T), moved[:, joints.bodies, 2], joints.kinds == TURN
+        distances[welds] = (
+            size * np.abs(turns[0, :, 0] - turns[0, :, 1] - joints.sizes[:, 0])[welds]
+        )
+        speeds[:, welds] = size * np.abs(turns[1]).T[:, welds]
+        allowed = 2.0 * self._length * speeds.sum(axis=0) + _JUMPED_INTO * size
         return np.where(distances > allowed, distances, 0.0)
 
     def forget(self) -> None:

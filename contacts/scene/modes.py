@@ -169,7 +169,7 @@ class SignFriction(NamedTuple):
     slip: sp.Expr  # The rate in the sign.
     bias: sp.Expr  # Its derivative where nothing accelerates.
     limit: sp.Expr
-    row: _Row  # Derivatives of the slip by the rates.
+    row: tuple[tuple[int, sp.Expr], ...]  # Items of the derivatives of the slip by the rates.
 
 
 class Bearing(NamedTuple):
@@ -255,7 +255,8 @@ def share_of(
             # A spring at the joint, with zero deflection, makes the pivots nonzero.
             balances[y[i]] += row[i] * (reaction + displacement)
     known: dict[sp.Expr, sp.Expr] = {}
-    for (name, slip, _, most, row), zone in bearing.signs:
+    for (name, slip, _, most, items), zone in bearing.signs:
+        row = dict(items)
         shared = [i for i in places if i in row]
         spring = sp.Add(*(row[i] * y[i] for i in shared))
         # A sign on its bound has it in the equations of motion.

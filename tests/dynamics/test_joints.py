@@ -251,6 +251,21 @@ def test_a_redundant_joint_changes_only_the_sharing_of_forces() -> None:
     assert trace.parameters["again.redundant_x"] == trace.parameters["again.redundant_y"] == 1.0
 
 
+def test_redundant_joints_are_found_in_each_of_several_mechanisms() -> None:
+    # Rods b on pivots of their own; the first and the last are held twice.
+    bodies = {f"b{i}": Body(mass=1, inertia=1, start={"x": 3 * i + 1}) for i in range(3)}
+    pivots = {
+        f"{name}{i}": Joint(point=Point(body=f"b{i}", at=(-1, 0)), to=(3 * i, 0))
+        for name, which in (("pivot", (0, 1, 2)), ("again", (0, 2)))
+        for i in which
+    }
+    trace = _run(Scene(name="rods", gravity=1, bodies=bodies, joints=pivots))
+    redundant = {
+        name for name, value in trace.parameters.items() if ".redundant_" in name and value
+    }
+    assert redundant == {f"again{i}.redundant_{c}" for i in (0, 2) for c in "xy"}
+
+
 @pytest.mark.parametrize("name", ENGINES)
 def test_a_jointed_body_lands_as_the_same_body_in_its_angles(name: str) -> None:
     # Two links from a pivot fall on the ground: a frictional impact, then sliding.

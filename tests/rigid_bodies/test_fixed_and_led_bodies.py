@@ -591,6 +591,27 @@ regions:
     assert "jumps at t = 0.5, and the points of joint 'j' are 0.2 apart" in str(trace.message)
 
 
+def test_an_angle_that_jumps_off_a_weld_ends_the_run() -> None:
+    bodies = f"""
+  pivot: {{position: [0, 0], angle: s, shape: {{disc: 0.05}}}}
+  bob: {{{BOB}}}
+"""
+    more = """
+joints: {j: {point: {body: bob}, to: {body: pivot}, angle: held}}
+regions:
+  r:
+    initial: a
+    variables: {s: 0}
+    states: {a: {flows: {s: 1}}, b: {entry: {s: s + TO}, flows: {s: 1}}}
+    transitions: [{name: go, from: a, to: b, guard: time >= 0.5}]
+"""
+    trace = _run(bodies, HANGS, more.replace("TO", "0.3"), throw=False).trace
+    assert trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "joint 'j'" in str(trace.message)
+    turned = _run(bodies, HANGS, more.replace("TO", "0")).trace.final[2]
+    assert turned == pytest.approx(1.0, abs=1e-3)
+
+
 def test_copies_are_welded_to_copies_of_led_bodies() -> None:
     bodies = f"""
   pivot: {{copies: 2, position: [index, 0.1*sin(time)], shape: {{disc: 0.05}}}}
