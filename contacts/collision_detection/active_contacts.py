@@ -45,7 +45,7 @@ class ActiveContacts(NamedTuple):
     free: Array
     bias: Array
     # (c,): normal velocity that is not of the forces of the step: that of a landing, and its
-    # correction.
+    # correction; 1 for a joint that closes in this step, else 0.
     landings: Array
     pushes: Array  # (c, 2): impulses of the previous step.
     hit: Bools  # (c,): whether there is an impact.

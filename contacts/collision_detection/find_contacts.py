@@ -134,8 +134,9 @@ def candidate_pair(
     other = surfaces.carriers[s]
     material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
     rolls, size = pieces.radii[p] > 0.0, pieces.sizes[p]
+    slowly = since * relative_speed(numbers, mid, p, q) <= CROSSED * pieces.cores[p]
     return CandidatePair(
-        p, q, b, other, key, material, False, False, True, False, rolls, size, within
+        p, q, b, other, key, material, False, False, slowly, False, rolls, size, within
     )
 
 
@@ -162,7 +163,7 @@ class DetectionResult(NamedTuple):
     """Result of contact detection."""
 
     contacts: int  # Number of active contacts; -1: capacity exceeded.
-    # Fastest approach of touching contacts; largest depth of an impact.
+    # Fastest approach of touching contacts; largest gap or depth of an impact.
     approach: float
     closing: float
     passed: float  # See `contacts.time_stepping.chunk.Chunk`.
@@ -431,7 +432,7 @@ def _write_if_active(
     if role == HIT:
         active.bias[m, 0] = -numbers.materials[pair.material, RESTITUTION] * nearing
         active.bias[m, 1] = 0.0
-        _update_maximum(points, CLOSING, -gap)
+        _update_maximum(points, CLOSING, abs(gap))
         if -gap > _SUNK * pair.size:
             _update_maximum(points, SUNK, -gap)
     else:

@@ -61,7 +61,7 @@ def _nonlinear_displacement(x: float, y: float, across: bool, turn: float) -> fl
 
 @kernel
 def _joint_ends(
-    joints: JointNumbers, j: int, mid: Midpoint, h: float, arms: Array, motion: Array
+    joints: JointNumbers, j: int, mid: Midpoint, moving: int, h: float, arms: Array, motion: Array
 ) -> None:
     """Write the arms (2, 2) of a joint, and the relative motion (5, 2) of its ends.
 
@@ -78,7 +78,8 @@ def _joint_ends(
         for k, rates in ((1, mid.old_rates), (2, mid.free_rates)):
             motion[k, 0] += sign * (rates[b, 0] - rates[b, 2] * ry)
             motion[k, 1] += sign * (rates[b, 1] + rates[b, 2] * rx)
-        turn = h * mid.old_rates[b, 2]
+        # The next turn of a led body is known.
+        turn = h * (mid.old_rates if b < moving else mid.free_rates)[b, 2]
         for d in range(2):
             motion[3, d] += sign * _nonlinear_displacement(rx, ry, d == 1, turn) / h
         motion[4, 0] += abs(x) + abs(rx) + abs(ry)
@@ -196,7 +197,7 @@ def _write_rows(
         gap = _angle_row(joints, j, mid, m, active)
     else:
         arms, motion = np.empty((2, 2)), np.zeros((5, 2))
-        _joint_ends(joints, j, mid, h, arms, motion)
+        _joint_ends(joints, j, mid, len(numbers.inverse), h, arms, motion)
         if holds < ROD:
             _write_points(joints, j, arms, motion, h, keeps, m, active)
             return
@@ -242,11 +243,15 @@ def add_joints(
         if place >= 0 and warm.contacts[place, 9] == 0.0:
             # It was off then.
             place = -1
+        active.landings[m] = 1.0 if place < 0 else 0.0
         active.levels[m, 0] = active.levels[m, 1] = 0.0
         _write_rows(numbers, j, mid, warm, place, h, m, active)
         if on and active.bodies[m, 1] < 0:
             before, after = mid.old_rates[other], mid.free_rates[other]
-            mid.force_speed[b] += math.hypot(after[0] - before[0], after[1] - before[1])
+            u, v, turn = after - before
+            x, y = to_world(mid.poses[other], joints.points[j, 1, 0], joints.points[j, 1, 1])
+            x, y = x - mid.poses[other, 0], y - mid.poses[other, 1]
+            mid.force_speed[b] += math.hypot(u - turn * y, v + turn * x)
         if not on:
             active.hit[m] = False
             for d in range(2):

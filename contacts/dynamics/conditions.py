@@ -84,8 +84,9 @@ class Conditions:
         self.present = bool(self._conditions)
         # Index of the first contact of the same point, per contact.
         touching = [mechanics.scene.contacts.get(name) for name in contacts]
-        points = [None if c is None else (c.point, c.radius) for c in touching]
-        self.points = tuple(k if p is None else points.index(p) for k, p in enumerate(points))
+        points = [k if c is None else (c.point, c.radius) for k, c in enumerate(touching)]
+        firsts = {point: k for k, point in reversed([*enumerate(points)])}
+        self.points = tuple(map(firsts.__getitem__, points))
         # Names of the margins that fall as atoms cease to hold, as they begin to hold, and as the
         # gap of a contact opens that is off ("" without a gate).
         self.names = tuple(condition.atom.name for condition in self._conditions)

@@ -8,7 +8,8 @@ angle of the disc relative to its surface.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import ChainMap
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import sympy as sp
@@ -22,6 +23,8 @@ from statechart.formulas.formula import parse
 Vector = tuple[sp.Expr, sp.Expr]
 Frame = tuple[Vector, sp.Expr]
 """Origin and angle."""
+Row = dict[int, sp.Expr]
+"""Sparse row: the index of a coordinate -> its entry; all others are zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,15 @@ def rotation(angle: sp.Expr) -> Callable[[Vector], Vector]:
     return lambda v: (c * v[0] - s * v[1], s * v[0] + c * v[1])
 
 
+def linear_combination(*terms: tuple[sp.Expr, Row]) -> Row:
+    """Return the sum of factors times rows."""
+    row: Row = {}
+    for factor, entries in terms:
+        for i, entry in entries.items():
+            row[i] = row.get(i, sp.S.Zero) + factor * entry
+    return {i: entry for i, entry in row.items() if entry != 0}
+
+
 def in_world(frame: Frame, place: Vector) -> Vector:
     """Return the position in the world of a place in a frame."""
     (x, y), angle = frame
@@ -87,9 +99,15 @@ class Geometry:
 
     `v` and `a` are rates and accelerations, `variables` q and v together. `known` maps the names
     that formulas may use to expressions; `constants` are those of parameters and controls.
+    `carried` are further variables, those of controllers that move surfaces, and their rates.
     """
 
-    def __init__(self, scene: Scene, constants: Mapping[str, sp.Symbol]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        constants: Mapping[str, sp.Symbol],
+        carried: Mapping[sp.Symbol, sp.Symbol],
+    ) -> None:
         self.scene = scene
         self.names = scene.variables
         count = range(len(self.names))
@@ -99,8 +117,11 @@ class Geometry:
         self.a = tuple(sp.Symbol(f"a{i}", real=True) for i in count)
         rates = tuple(map(scene.rate_name, self.names))
         self.variable_names, self.variables = (*self.names, *rates), (*self.q, *self.v)
-        # Variables of controllers that move surfaces, and their rates.
-        self.carried: tuple[tuple[sp.Symbol, sp.Symbol], ...] = ()
+        rates_of = dict(zip(self.variables, (*self.v, *self.a), strict=True))
+        varying = {self.time: sp.S.One, **rates_of, **carried}.items()
+        # Symbol -> its index among the variables (-1: time), itself, and its rate.
+        self._varying = {x: (i, x, dx) for i, (x, dx) in enumerate(varying, start=-1)}
+        self._at_rest = dict.fromkeys(self.a, sp.S.Zero)
         self.known: dict[str, sp.Expr] = {
             TIME: self.time,
             **constants,
@@ -109,13 +130,23 @@ class Geometry:
 
     def rate(self, expression: sp.Expr) -> sp.Expr:
         """Return the total derivative with respect to time, accelerations included."""
-        used = expression.free_symbols
-        terms = [sp.diff(expression, self.time)] if self.time in used else []
-        pairs = (*zip(self.q, self.v, strict=True), *zip(self.v, self.a, strict=True))
-        for x, dx in (*pairs, *self.carried):
-            if x in used:
-                terms.append(sp.diff(expression, x) * dx)
-        return sp.Add(*terms)
+        return sp.Add(*(sp.diff(expression, x) * dx for _, x, dx in self._variables_in(expression)))
+
+    def drift(self, rate: sp.Expr) -> sp.Expr:
+        """Return the derivative of a rate at zero accelerations."""
+        return self.rate(rate).xreplace(self._at_rest)
+
+    def gradient(self, place: sp.Expr) -> Row:
+        """Return the derivatives of a position by the coordinates."""
+        used = [(i, q) for i, q, _ in self._variables_in(place) if 0 <= i < len(self.q)]
+        return {i: slope for i, q in used if (slope := sp.diff(place, q)) != 0}
+
+    def dense(self, rows: Iterable[Row]) -> list[sp.Expr]:
+        """Return the entries of rows for all coordinates, row by row."""
+        return [row.get(i, sp.S.Zero) for row in rows for i in range(len(self.q))]
+
+    def _variables_in(self, expression: sp.Expr) -> list[tuple[int, sp.Symbol, sp.Expr]]:
+        return sorted(self._varying[x] for x in expression.free_symbols if x in self._varying)
 
     def body_frame(self, name: str) -> Frame:
         """Return the centre of mass and the angle of a body."""
@@ -137,7 +168,7 @@ class Geometry:
 
     def formula(self, text: str | int | float, **further: sp.Expr) -> sp.Expr:
         """Return the expression of a formula; `further` names precede those of `known`."""
-        return parse(text).to_sympy({**self.known, **further})
+        return parse(text).to_sympy(ChainMap(further, self.known))
 
     def vector(self, pair: Pair) -> Vector:
         """Return the expressions of two components."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.geometry import Row
 from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales
 from contacts.solvers.impulse_coupling import label_coordinates
 from statechart.arrays import Array, Bools
@@ -35,7 +36,7 @@ class JointRow:
     gap: sp.Expr = sp.S.Zero
     gap_rate: sp.Expr = sp.S.Zero
     bias: sp.Expr = sp.S.Zero
-    jacobian: tuple[sp.Expr, ...] = ()  # d(gap)/d(coordinates)
+    jacobian: Row = field(default_factory=dict)  # d(gap)/d(coordinates)
     # Velocity of the target on its path; the force does work on it
     path_rate: sp.Expr = sp.S.Zero
     # Parameter: 1 where the rows before imply this one in a run, else 0
@@ -52,7 +53,7 @@ class JointRow:
 
     def equation(self, accelerations: Sequence[sp.Symbol]) -> sp.Expr:
         """Return the acceleration of the gap, plus the force if the row is redundant; = 0."""
-        terms = (j * a for j, a in zip(self.jacobian, accelerations, strict=True) if j != 0)
+        terms = (entry * accelerations[i] for i, entry in self.jacobian.items())
         return sp.Add(self.bias, *terms) + self.redundant * self.force
 
     def hold(self, accelerations: Sequence[sp.Symbol]) -> Hold:

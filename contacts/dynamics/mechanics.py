@@ -13,7 +13,15 @@ from typing import NamedTuple
 import sympy as sp
 
 from contacts.dynamics.gates import Gate, gate_of
-from contacts.dynamics.geometry import Geometry, Vector, in_world, rotation, surface_frame
+from contacts.dynamics.geometry import (
+    Geometry,
+    Row,
+    Vector,
+    in_world,
+    linear_combination,
+    rotation,
+    surface_frame,
+)
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import (
     GAP_OFFSET,
@@ -38,8 +46,6 @@ from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import Min, compile_tape
-
-_Row = tuple[sp.Expr, ...]
 
 HAULED = "length"
 """Margin of a rope that is hauled in."""
@@ -83,7 +89,15 @@ class Mechanics(Geometry):
         self.controller_state = {
             n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.controller_state)
         }
-        super().__init__(scene, {**symbols, **controls, **self.controller_state})
+        # Rates and accelerations of the controllers' variables on which paths of surfaces depend.
+        self._led = {
+            name: (sp.Symbol(f"rate_{symbol}", real=True),
+                   sp.Symbol(f"acceleration_{symbol}", real=True))
+            for name, symbol in self.controller_state.items() if name in scene.leading
+        }  # fmt: skip
+        carried = {self.controller_state[name]: rate for name, (rate, _) in self._led.items()}
+        carried |= dict(self._led.values())
+        super().__init__(scene, {**symbols, **controls, **self.controller_state}, carried)
         self.state_names = (*self.variable_names, *self.controller_state)
         self.state = (*self.variables, *self.controller_state.values())
         self.parameters = declared
@@ -120,17 +134,6 @@ class Mechanics(Geometry):
             for i, (name, joint) in enumerate(scene.joints.items())
             if is_switched(joint)
         }
-        # Rates and accelerations of the controllers' variables on which paths of surfaces depend.
-        self._led = {
-            name: (sp.Symbol(f"rate_{self.controller_state[name]}", real=True),
-                   sp.Symbol(f"acceleration_{self.controller_state[name]}", real=True))
-            for name in self.controller_state if name in scene.leading
-        }  # fmt: skip
-        self.carried = tuple(
-            symbols_of_rate
-            for name, (rate, acceleration) in self._led.items()
-            for symbols_of_rate in ((self.controller_state[name], rate), (rate, acceleration))
-        )
         # Symbols that states of controllers set, in order of dependence: coefficients of contacts,
         # the scene's controls, motions of surfaces, friction that varies with the slip on them, and
         # rates of controllers' variables.
@@ -170,28 +173,29 @@ class Mechanics(Geometry):
         )
 
     @cached_property
-    def mass_matrix(self) -> sp.Matrix:
-        """M (n, n) of the kinetic energy ``v^T M v / 2``."""
+    def mass_matrix(self) -> tuple[Row, ...]:
+        """Rows (n,) of M in the kinetic energy ``v^T M v / 2``."""
         return self._inertia[0]
 
     @cached_property
     def generalised_forces(self) -> tuple[sp.Expr, ...]:
         """``Q - b`` (n,), which equals ``M a`` without contact and joint forces."""
-        total = list(self.applied_forces)
         gx, gy = self.gravity
+        forces = [(sp.S.One, self.applied_forces)]
         for name, body in self.scene.bodies.items():
             (x, y), _ = self.body_frame(name)
-            mass = self.formula(body.mass)
-            for i, (dx, dy) in enumerate(zip(self.gradient(x), self.gradient(y), strict=True)):
-                if dx != 0 or dy != 0:
-                    total[i] += mass * (gx * dx + gy * dy)
+            pull = linear_combination((gx, self.gradient(x)), (gy, self.gradient(y)))
+            forces.append((self.formula(body.mass), pull))
+        total = self.dense([linear_combination(*forces)])
         return tuple(q - b for q, b in zip(total, self._inertia[1], strict=True))
 
     @cached_property
     def energy(self) -> sp.Expr:
         """Kinetic energy plus that of gravity."""
         kinetic = [
-            entry * self.v[i] * self.v[k] / 2 for (i, k), entry in self.mass_matrix.todok().items()
+            entry * self.v[i] * self.v[k] / 2
+            for i, row in enumerate(self.mass_matrix)
+            for k, entry in row.items()
         ]
         gx, gy = self.gravity
         potential = []
@@ -228,11 +232,6 @@ class Mechanics(Geometry):
                 expressions[f"{name}.d{component}"] = sp.Add(self.rate(place), *remembered)
         return {name: expression for name, expression in expressions.items() if name in known}
 
-    def gradient(self, place: sp.Expr) -> list[sp.Expr]:
-        """Return the derivatives (n,) of a position by the coordinates."""
-        used = place.free_symbols
-        return [sp.diff(place, q) if q in used else sp.S.Zero for q in self.q]
-
     @cached_property
     def gravity(self) -> Vector:
         """Acceleration of gravity."""
@@ -249,56 +248,53 @@ class Mechanics(Geometry):
         return mass, self.parameters.symbols[f"{name}.inertia"]
 
     @cached_property
-    def applied_forces(self) -> tuple[sp.Expr, ...]:
-        """Generalised forces (n,) of the declared forces."""
-        total = [sp.S.Zero] * len(self.q)
+    def applied_forces(self) -> Row:
+        """Generalised forces of the declared forces."""
+        work: list[tuple[sp.Expr, Row]] = []
         for force in self.scene.forces.values():
             point = self.point(Point(body=force.body, at=force.at))
-            _, angle = self.body_frame(force.body)
-            components = [self.formula(text, **self.placed) for text in force.force]
-            moment = self.formula(force.moment, **self.placed)
-            for i, q in enumerate(self.q):
-                work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
-                total[i] += sp.Add(*work, moment * sp.diff(angle, q))
-        return tuple(total)
+            places = *point, self.body_frame(force.body)[1]
+            components = [self.formula(t, **self.placed) for t in (*force.force, force.moment)]
+            work += zip(components, map(self.gradient, places), strict=True)
+        return linear_combination(*work)
 
     @cached_property
-    def _inertia(self) -> tuple[sp.Matrix, tuple[sp.Expr, ...]]:
+    def _inertia(self) -> tuple[tuple[Row, ...], list[sp.Expr]]:
         """Mass matrix and bias forces, summed over the bodies."""
-        size = len(self.q)
-        matrix = sp.zeros(size, size)
-        bias = [sp.S.Zero] * size
-        at_rest = dict.fromkeys(self.a, sp.S.Zero)
+        matrix: tuple[Row, ...] = tuple({} for _ in self.q)
+        bias = [sp.S.Zero] * len(self.q)
         for name, body in self.scene.bodies.items():
             (x, y), angle = self.body_frame(name)
             mass, inertia = self.inertia(name, body)
             for weight, position in ((mass, x), (mass, y), (inertia, angle)):
                 gradient = self.gradient(position)
-                moving = [i for i, g in enumerate(gradient) if g != 0]
-                drift = self.rate(self.rate(position)).xreplace(at_rest)
-                for i in moving:
-                    bias[i] += weight * gradient[i] * drift
-                    for k in moving:
-                        matrix[i, k] += weight * gradient[i] * gradient[k]
-        return matrix, tuple(bias)
+                drift = self.drift(self.rate(position))
+                for i, slope in gradient.items():
+                    bias[i] += weight * slope * drift
+                    for k, other in gradient.items():
+                        matrix[i][k] = matrix[i].get(k, sp.S.Zero) + weight * slope * other
+        return matrix, bias
 
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
         """(n + rows of joints that are never off,): each = 0, in accelerations and forces."""
-        contacts = [self.contact(name) for name in self.scene.frictional]
-        result = []
-        for i, right in enumerate(self.generalised_forces):
-            left = sp.Add(*self._nonzero([self.mass_matrix[i, k] for k in range(len(self.q))]))
-            contact_forces = sp.Add(
-                *(c.jacobian_n[i] * c.V for c in contacts if c.jacobian_n[i] != 0),
-                *(c.jacobian_t[i] * c.H for c in contacts if c.jacobian_t[i] != 0),
-            )
-            joint_forces = sp.Add(
-                *(row.jacobian[i] * row.force for row in self.joint_rows if row.jacobian[i] != 0)
-            )
-            result.append(left - right - contact_forces - joint_forces)
+        terms = [
+            [*self._times_a(row), -force]
+            for row, force in zip(self.mass_matrix, self.generalised_forces, strict=True)
+        ]
+        for force, row in self.constraint_rows.items():
+            for i, entry in row.items():
+                terms[i].append(-(entry * force))
         lasting = (row for row in self.joint_rows if row.closed is None)
-        return (*result, *(row.equation(self.a) for row in lasting))
+        return (*(sp.Add(*sides) for sides in terms), *(row.equation(self.a) for row in lasting))
+
+    @cached_property
+    def constraint_rows(self) -> dict[sp.Expr, Row]:
+        """Forces of joints, contacts and couplings -> derivatives of the rates they work on."""
+        rows = dict[sp.Expr, Row](self._reactions)
+        for contact in map(self.contact, self.scene.frictional):
+            rows |= {contact.V: contact.jacobian_n, contact.H: contact.jacobian_t}
+        return rows
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
@@ -357,7 +353,7 @@ class Mechanics(Geometry):
     @cached_property
     def power(self) -> sp.Expr:
         """Power of the applied forces, gravity excepted, and of joints and surfaces that move."""
-        applied = (q * v for q, v in zip(self.applied_forces, self.v, strict=True))
+        applied = (force * self.v[i] for i, force in self.applied_forces.items())
         pushed = (
             force * rate
             for name, forces in self.forces.items()
@@ -512,18 +508,22 @@ class Mechanics(Geometry):
         sizes = [symbol for name, symbol in parameters.items() if name.startswith(SIZE)]
         return dict(zip(self.variables, sizes, strict=False))
 
+    @cached_property
+    def _relation_names(self) -> dict[str, sp.Expr]:
+        """Expressions of the names in relations of `enabled`."""
+        scene = self.scene
+        return {**self.known, **self.placed} | {
+            f"{name}.{quantity}": getattr(self.contact(name), quantity)
+            for name in scene.frictional
+            for quantity in (("slip",) if name in scene.couplings else ("gap", "slip"))
+        }
+
     def gate(self, name: str) -> Gate | None:
         """Return the gate of a contact; None if it has no conditions and no ends of an edge."""
         scene = self.scene
         coupling = scene.couplings.get(name)
         contact = coupling or scene.contacts[name]
         if name not in self._gates:
-            known = {**self.known, **self.placed} | {
-                f"{other}.{quantity}": getattr(self.contact(other), quantity)
-                for other in scene.frictional
-                for quantity in (("slip",) if other in scene.couplings else ("gap", "slip"))
-                if contact.enabled
-            }
             ends: dict[str, sp.Expr] = {}
             edge = None if coupling else scene.surface_of(name).edge
             if edge is not None:
@@ -534,7 +534,7 @@ class Mechanics(Geometry):
                 ends = {"begin of its edge": fraction, "end of its edge": length - fraction}
             off = f"{name}.{DISENGAGED if coupling else OFF}"
             self._gates[name] = (
-                gate_of(off, contact.enabled, known, self._asked, ends)
+                gate_of(off, contact.enabled, self._relation_names, self._asked, ends)
                 if contact.enabled or ends
                 else None
             )
@@ -595,9 +595,8 @@ class Mechanics(Geometry):
         function -= radius / factor
         # Rate of the radius of a circle: a rope that is hauled in.
         radius_rate = self.rate(function)
-        at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rates = self.rate(centre[0]), self.rate(centre[1])
-        drifts = self.rate(rates[0]).xreplace(at_rest), self.rate(rates[1]).xreplace(at_rest)
+        drifts = self.drift(rates[0]), self.drift(rates[1])
         gradient = [sp.diff(function, u) for u in local]
         tangent_gradients = (
             [sp.diff(direction[1], u) for u in local],
@@ -626,14 +625,14 @@ class Mechanics(Geometry):
             second_order(tangent_gradients),
         )
 
-    def _motion(self, place: sp.Expr) -> tuple[sp.Expr, _Row, sp.Expr, sp.Expr]:
+    def _motion(self, place: sp.Expr) -> tuple[sp.Expr, Row, sp.Expr, sp.Expr]:
         """Return the rate, the gradient and the bias of a position, and its acceleration."""
-        rate, gradient = self.rate(place), tuple(self.gradient(place))
-        bias = self.rate(rate).xreplace(dict.fromkeys(self.a, sp.S.Zero))
-        return rate, gradient, bias, sp.Add(bias, *self._nonzero(gradient))
+        rate, gradient = self.rate(place), self.gradient(place)
+        bias = self.drift(rate)
+        return rate, gradient, bias, sp.Add(bias, *self._times_a(gradient))
 
-    def _nonzero(self, row: Sequence[sp.Expr]) -> list[sp.Expr]:
-        return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
+    def _times_a(self, row: Row) -> list[sp.Expr]:
+        return [entry * self.a[i] for i, entry in row.items()]
 
     @cached_property
     def pads(self) -> dict[str, int]:
@@ -646,18 +645,15 @@ class Mechanics(Geometry):
         soft = (name for name, contact in contacts if contact.stiffness is not None)
         return {name: k for k, name in enumerate(soft)}
 
-    def _padded(
-        self, name: str, normal: Sequence[sp.Expr], tangential: Sequence[sp.Expr]
-    ) -> tuple[tuple[_Row, _Row], tuple[_Row, ...], tuple[sp.Symbol, ...]]:
-        """Return the rows of a contact and of joints on coordinates and pads; forces of joints."""
-        none = (sp.S.Zero,) * len(self.pads)
-        pads = [*none]
-        if name in self.pads:
-            normal = (sp.S.Zero,) * len(normal)
-            pads[self.pads[name]] = sp.S.One
-        rows = tuple((*row.jacobian, *none) for row in self.joint_rows)
-        forces = tuple(row.force for row in self.joint_rows)
-        return ((*normal, *pads), (*tangential, *none)), rows, forces
+    def _padded(self, name: str, normal: Row, tangential: Row) -> tuple[Row, Row]:
+        """Return the rows of a contact on coordinates and pads."""
+        pad = self.pads.get(name)
+        return normal if pad is None else {len(self.q) + pad: sp.S.One}, tangential
+
+    @cached_property
+    def _reactions(self) -> tuple[tuple[sp.Symbol, Row], ...]:
+        """Forces and rows of the joints."""
+        return tuple((row.force, row.jacobian) for row in self.joint_rows)
 
     def _coupling_symbols(self, name: str) -> ContactSymbols:
         """Return the quantities of a coupling: its slip is an angular rate, its gap is zero."""
@@ -670,15 +666,15 @@ class Mechanics(Geometry):
         else:
             angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
             turn = angles[0] - sp.Add(*angles[1:])
-        zero, no_rates = sp.S.Zero, (sp.S.Zero,) * len(self.q)
+        zero, still = sp.S.Zero, Row()
         slip, jacobian, bias, acceleration = self._motion(turn)
         anchor, couple = sp.Symbol(f"{name}.angle0", real=True), self.couples[name]
         place, along, out = (turn, zero), (sp.S.One, zero), (zero, sp.S.One)
         return ContactSymbols(
             name, zero, zero, zero, slip, place, place, along, out,
-            no_rates, jacobian, zero, bias, zero, acceleration,
+            still, jacobian, zero, bias, zero, acceleration,
             zero, couple, friction_cones(self.scene, name, None, self.known, slip),
-            *self._padded(name, no_rates, jacobian), Hold((), (), ()),
+            self._padded(name, still, jacobian), self._reactions, Hold((), (), ()),
             Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
         )  # fmt: skip
 
@@ -695,14 +691,14 @@ class Mechanics(Geometry):
         turn *= stop.side
         gap, (V, H), zero = self._arm(contact.point) * turn, self.forces[name], sp.S.Zero
         rate, jacobian, bias, bearing = self._motion(gap)
-        zeros, along, out = (zero,) * len(self.q), (sp.S.One, zero), (zero, sp.S.One)
+        still, along, out = Row(), (sp.S.One, zero), (zero, sp.S.One)
         hold = Hold((turn,), (bearing,), (V,))
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", zero)
         return ContactSymbols(
             name, gap, offset, rate, zero, self.point(contact.point), (zero, zero), along, out,
-            jacobian, zeros, bias, zero, bearing, zero,
+            jacobian, still, bias, zero, bearing, zero,
             V, H, friction_cones(self.scene, name, None, self.known, zero),
-            *self._padded(name, jacobian, zeros), hold, hold,
+            self._padded(name, jacobian, still), self._reactions, hold, hold,
         )  # fmt: skip
 
     def _symbols(self, name: str, contact: Contact) -> ContactSymbols:
@@ -714,23 +710,21 @@ class Mechanics(Geometry):
         local = self._surface_geometry(surface, rim.radius, centre)
         normal, rates, drifts = local.normal, local.rates, local.drifts
         tangent = (normal[1], -normal[0])
-        jacobian = list(
-            zip(self.gradient(x), self.gradient(y), self.gradient(rim.turn), strict=True)
-        )
-        jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy, _ in jacobian)
-        jacobian_t = tuple(
-            tangent[0] * dx + tangent[1] * dy + rim.radius * turn for dx, dy, turn in jacobian
+        dx, dy = self.gradient(x), self.gradient(y)
+        jacobian_n = linear_combination((normal[0], dx), (normal[1], dy))
+        jacobian_t = linear_combination(
+            (tangent[0], dx), (tangent[1], dy), (rim.radius, self.gradient(rim.turn))
         )
         rolling = self.rate(rim.radius * rim.turn)
         slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling
         bias_n = local.bias
         bias_t = tangent[0] * drifts[0] + tangent[1] * drifts[1] + local.turned
-        bias_t += self.rate(rolling).xreplace(dict.fromkeys(self.a, sp.S.Zero))
+        bias_t += self.drift(rolling)
         V, H = self.forces[name]
         anchor, slipping = rim.anchored(centre, tangent)
         stuck, anchors = self._stuck(name, contact, anchor, tangent)
-        normal_a = sp.Add(bias_n, *self._nonzero(jacobian_n))
-        tangential_a = sp.Add(bias_t, *self._nonzero(jacobian_t))
+        normal_a = sp.Add(bias_n, *self._times_a(jacobian_n))
+        tangential_a = sp.Add(bias_t, *self._times_a(jacobian_t))
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         point = x - rim.radius * normal[0], y - rim.radius * normal[1]
         k, d = self.vector((contact.stiffness or 0, contact.damping or 0))
@@ -739,7 +733,7 @@ class Mechanics(Geometry):
             name, local.gap, offset, local.gap_rate, slip, point, anchor, slipping, normal,
             jacobian_n, jacobian_t, bias_n, bias_t, normal_a, tangential_a,
             V, H, friction_cones(self.scene, name, self._coefficients.get(name), self.known, slip),
-            *self._padded(name, jacobian_n, jacobian_t),
+            self._padded(name, jacobian_n, jacobian_t), self._reactions,
             # The implicit function, not the distance: it is linear in y for a height.
             Hold((local.function,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),

@@ -7,11 +7,12 @@ combined to functions of sums and differences of angles.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from functools import partial
 
 import sympy as sp
 
+from contacts.dynamics.geometry import Row
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import MASS_UNIT
 from statechart.automaton.reduction import Coordinates, Elimination
@@ -38,6 +39,7 @@ def coordinates(mechanics: Mechanics) -> Coordinates:
 def _display_parameters(mechanics: Mechanics) -> dict[sp.Symbol, sp.Expr]:
     """Return formulas of moments of inertia, and cones as (1, coefficient), for display."""
     symbols, scene = mechanics.parameters.symbols, mechanics.scene
+    parameters = {*symbols.values()}
     expressions: dict[sp.Symbol, sp.Expr] = {}
     for name, body in scene.bodies.items():
         if body.inertia is not None:
@@ -45,7 +47,7 @@ def _display_parameters(mechanics: Mechanics) -> dict[sp.Symbol, sp.Expr]:
     for name in scene.contacts:
         law = scene.friction_of(name)
         for direction, (cone_n, cone_t) in mechanics.contact(name).friction.edges.items():
-            if law is not None and cone_t in symbols.values():
+            if law is not None and cone_t in parameters:
                 text = law.kinetic if direction else law.static
                 at_rest = dict.fromkeys(law.slips, sp.S.Zero)
                 expressions[cone_n] = sp.S.One
@@ -57,24 +59,22 @@ def motion(
     mechanics: Mechanics, elimination: Elimination, working: Collection[sp.Symbol]
 ) -> tuple[sp.Expr, ...]:
     """Return the equations of motion, each = 0, of the free coordinates, in order."""
-    free = [i for i, q in enumerate(mechanics.q) if q not in elimination.positions]
-    at_rest = dict.fromkeys(mechanics.a, sp.S.Zero)
-    known = elimination.known
+    known, anchors = elimination.known, elimination.anchors
     gx, gy = mechanics.gravity
-    rows: list[list[sp.Expr]] = [[] for _ in free]
+    rows: dict[int, list[sp.Expr]] = {
+        i: [] for i, q in enumerate(mechanics.q) if q not in elimination.positions
+    }
 
-    numbers = {mechanics.q[i]: k for k, i in enumerate(free)}
+    def gradient_of(place: sp.Expr) -> Row:
+        """Return the derivatives of a place by the free coordinates."""
+        slopes = mechanics.gradient(place).items()
+        return {i: slope.xreplace(anchors) for i, slope in slopes if i in rows}
 
-    def gradient_and_drift(position: sp.Expr) -> tuple[dict[int, sp.Expr], sp.Expr]:
+    def gradient_and_drift(position: sp.Expr) -> tuple[Row, sp.Expr]:
         """Return the gradient of a position, and its acceleration at constant rates."""
         expression = _collect(position.xreplace(elimination.positions), mechanics.variables)
-        gradient = {
-            numbers[q]: sp.diff(expression, q).xreplace(elimination.anchors)
-            for q in expression.free_symbols
-            if q in numbers
-        }
-        drift = mechanics.rate(mechanics.rate(expression)).xreplace(at_rest)
-        return gradient, drift.xreplace(elimination.anchors)
+        drift = mechanics.drift(mechanics.rate(expression))
+        return gradient_of(expression), drift.xreplace(anchors)
 
     for name, body in mechanics.scene.bodies.items():
         (x, y), angle = mechanics.body_frame(name)
@@ -93,41 +93,21 @@ def motion(
             terms = rows[i]
             for k, (other, other_turn) in jacobian.items():
                 entry = mass * inner(direction, other) + inertia * turn * other_turn
-                terms.append(entry * mechanics.a[free[k]])
+                terms.append(entry * mechanics.a[k])
             terms.append(mass * inner(direction, (drift_x, drift_y)) + inertia * turn * drift)
             terms.append(-mass * (gx * direction[0] + gy * direction[1]))
-    columns = _columns(mechanics, elimination, free)
-    for works in (mechanics.applied_forces, *_constraint_forces(mechanics, working)):
-        for terms, column in zip(rows, columns, strict=True):
-            terms += [-works[i].xreplace(known) * by for i, by in column.items() if works[i] != 0]
-    return tuple(sp.Add(*terms) for terms in rows)
-
-
-def _columns(
-    mechanics: Mechanics, elimination: Elimination, free: Iterable[int]
-) -> list[dict[int, sp.Expr]]:
-    columns: list[dict[int, sp.Expr]] = []
-    for i in free:
-        column: dict[int, sp.Expr] = {i: sp.S.One}
-        for q, place in elimination.positions.items():
-            by = sp.diff(place, mechanics.q[i])
-            if by != 0:
-                column[mechanics.q.index(q)] = by.xreplace(elimination.anchors)
-        columns.append(column)
-    return columns
-
-
-def _constraint_forces(
-    mechanics: Mechanics, working: Collection[sp.Symbol]
-) -> list[tuple[sp.Expr, ...]]:
-    """Return the generalised forces of the contacts and joints that may do work."""
-    jacobians = {row.force: row.jacobian for row in mechanics.joint_rows}
-    for name in mechanics.scene.frictional:
-        contact = mechanics.contact(name)
-        if name not in mechanics.couples:
-            jacobians[contact.V] = contact.jacobian_n
-        jacobians[contact.H] = contact.jacobian_t
-    return [tuple(j * f for j in row) for f, row in jacobians.items() if f in working]
+    moves = {
+        i: {i: sp.S.One} if i in rows else gradient_of(elimination.positions[q])
+        for i, q in enumerate(mechanics.q)
+    }
+    works = [(sp.S.One, mechanics.applied_forces)]
+    works += [(f, row) for f, row in mechanics.constraint_rows.items() if f in working]
+    for force, row in works:
+        for i, entry in row.items():
+            acting = -(force * entry).xreplace(known)
+            for k, by in moves[i].items():
+                rows[k].append(acting * by)
+    return tuple(sp.Add(*terms) for terms in rows.values())
 
 
 def _collect(expression: sp.Expr, variables: Collection[sp.Symbol]) -> sp.Expr:

@@ -118,6 +118,12 @@ def scene_parameters(scene: Scene) -> Parameters:
     def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
         expressions = _derived(scene, known)
         expressions |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
+        for name, joint in scene.joints.items():
+            # Set at the start of a run by `contacts.solvers.dependence.dependent_rows`.
+            expressions |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
+            if joint.angle is not None and not joint.enabled:
+                turns = [_turn(scene, end.body, known) for end in joint.ends.values()]
+                expressions[f"{name}.turn0"] = turns[0] - sp.Add(*turns[1:])
         if has_switches(scene):
             expressions |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
         expressions |= _sizes(scene, len(scene.variables))
@@ -164,7 +170,7 @@ def body_parameters(scene: Scene, coordinates: int) -> Parameters:
 
 
 def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
-    """Return the coefficients of contacts, moments of inertia, redundancies of joints."""
+    """Return the coefficients of contacts and moments of inertia."""
     result: dict[str, sp.Expr] = {}
 
     def in_states(text: FormulaText) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
@@ -189,12 +195,6 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
     for name, body in scene.bodies.items():
         if body.inertia is not None:
             result[f"{name}.inertia"] = parse(body.inertia).to_sympy(known)
-    for name, joint in scene.joints.items():
-        # Set at the start of a run by `contacts.solvers.dependence.dependent_rows`.
-        result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
-        if joint.angle is not None and not joint.enabled:
-            turns = [_turn(scene, end.body, known) for end in joint.ends.values()]
-            result[f"{name}.turn0"] = turns[0] - sp.Add(*turns[1:])
     return result
 
 
@@ -202,7 +202,7 @@ def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
     """Return initial positions, rates and controllers' variables; then levers of the bodies."""
     texts = [*scene.starts().values(), *scene.controlled.controller_state.values()]
     begins = [parse(text).to_sympy(known) for text in texts]
-    return [*begins, *(_lever(scene, name, known) for name in scene.bodies)]
+    return [*begins, *_levers(scene, known)]
 
 
 def _turn(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
@@ -211,18 +211,20 @@ def _turn(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     return parse(scene.bodies[name].path[2]).to_sympy({**known, **starts})
 
 
-def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
-    """Return mass times the longest arm squared of the body's contact points and joints."""
+def _levers(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
+    """Return mass times the longest arm squared of every body's contact points and joints."""
     points = [(contact.point, contact.radius or 0) for contact in scene.contacts.values()]
     for joint in scene.joints.values():
         # A captured position is known when the joint closes.
         ends = joint.ends.values() if joint.rest is None else (joint.point,)
         points += [(end, 0) for end in ends]
-    arms = [
-        sp.Add(*(parse(text).to_sympy(known) ** 2 for text in (*point.at, radius)))
-        for point, radius in points
-        if point.body == name
-    ]
-    mass = parse(scene.bodies[name].mass).to_sympy(known)
+    arms: dict[str, list[sp.Expr]] = {name: [] for name in scene.bodies}
+    for point, radius in points:
+        squares = (parse(text).to_sympy(known) ** 2 for text in (*point.at, radius))
+        arms[point.body].append(sp.Add(*squares))
     # Unevaluated: SymPy takes half a second to decide which arm is the longest.
-    return mass * (Max(*arms, evaluate=False) if arms else sp.S.Zero)
+    return [
+        parse(scene.bodies[name].mass).to_sympy(known)
+        * (Max(*lengths, evaluate=False) if lengths else sp.S.Zero)
+        for name, lengths in arms.items()
+    ]

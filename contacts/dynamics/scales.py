@@ -124,11 +124,11 @@ class ScaleTape:
         speeds = [mechanics.rate(place) for _, place in places]
         masses = [mechanics.formula(body.mass) for body in scene.bodies.values()]
         accelerations = [
-            (force / mechanics.mass_matrix[i, i], q)
-            for i, (force, q) in enumerate(
-                zip(mechanics.generalised_forces, mechanics.q, strict=True)
+            (force / row[i], mechanics.q[i])
+            for i, (force, row) in enumerate(
+                zip(mechanics.generalised_forces, mechanics.mass_matrix, strict=True)
             )
-            if mechanics.mass_matrix[i, i] != 0
+            if row.get(i, 0) != 0
         ]
         pushes = [push for push, _ in accelerations]
         extents = _extents(mechanics)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
+from sympy.utilities.iterables import connected_components
 
 from contacts.dynamics.conditions import Conditions, undecided_couplings
 from contacts.dynamics.contact_law import ContactLaw, coupling_law
@@ -96,14 +97,22 @@ class SceneNumbers:
         rows = [row for row in mechanics.joint_rows if row.closed is None]
         self._joint_names = tuple(row.joint for row in rows)
         self._redundant = [self.places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
-        self._joint_tape = mechanics.tape([entry for row in rows for entry in row.jacobian])
+        # Entries of the joint rows, and their rows and columns; groups of rows without a common
+        # coordinate.
+        self._joint_tape = mechanics.tape([e for row in rows for e in row.jacobian.values()])
+        entries = [(k, ~i) for k, row in enumerate(rows) for i in row.jacobian]
+        self._entries = np.array(entries, np.int64).reshape(-1, 2)
+        vertices = [*range(len(rows)), *{column for _, column in entries}]
+        groups = connected_components((vertices, entries))
+        self._groups = [sorted(k for k in group if k >= 0) for group in groups]
         # Bodies, and the indices of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self.lint = (*lint(scene), *_unpressed(mechanics), *undecided_couplings(mechanics))
         masses = {n: sp.Abs(mechanics.formula(body.mass)) for n, body in scene.bodies.items()}
         # Their shares in the mass of all bodies.
         self._unloaded = _unloaded_bodies(scene)
-        shares = [masses[name] / sp.Add(*masses.values()) for name in self._unloaded]
+        total = sp.Add(*masses.values())
+        shares = [masses[name] / total for name in self._unloaded]
         self._shares = mechanics.tape(shares)
         # Quantities with limits `bounds` (2, l), physical ones and shares of light bodies; None if
         # controllers set some of them.
@@ -232,8 +241,13 @@ class SceneNumbers:
         """Mark redundant joint rows, whose forces are not determined."""
         if not self._redundant:
             return values, ()
-        rows = self._joint_tape.at(initial, values, 0.0).reshape(len(self._redundant), -1)
-        redundant = dependent_rows(rows)
+        redundant = np.zeros(len(self._redundant), np.bool_)
+        jacobian = np.zeros((len(redundant), self.scale_tape.size // 2))
+        rows, columns = self._entries.T
+        jacobian[rows, ~columns] = self._joint_tape.at(initial, values, 0.0)
+        for group in self._groups:
+            moved = jacobian[group].any(axis=0)
+            redundant[group] = dependent_rows(jacobian[np.ix_(group, moved)])
         if not redundant.any():
             return values, ()
         values = values.copy()
@@ -334,7 +348,7 @@ def _unpressed(mechanics: Mechanics) -> Iterator[str]:
     names = [
         name
         for name, contact in mechanics.scene.contacts.items()
-        if not contact.frictionless and not any(mechanics.contact(name).jacobian_n)
+        if not contact.frictionless and not mechanics.contact(name).jacobian_n
     ]
     if names:
         yield (

@@ -178,23 +178,28 @@ class SnapshotTape:
             pads += [mass, symbols.compliance, symbols.gap_rate]
         rows = mechanics.joint_rows
         self.joint_names = [f"{row.joint}.{row.component}" for row in rows]
-        moved = np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_)
-        moved = np.pad(moved.reshape(len(rows), self.size), ((0, 0), (0, len(self._pads))))
+        moved = np.zeros((len(rows), self.size + len(self._pads)), np.bool_)
+        for k, row in enumerate(rows):
+            moved[k, [*row.jacobian]] = True
         self._groups: tuple[JointGroup, ...] = joint_groups(moved)
         self.signs = sign_frictions(mechanics, mechanics.values_in(states))
         # Grouped by quantity, so that arrays are views of the outputs.
         quantities: list[list[sp.Expr]] = [
-            [*mechanics.mass_matrix],
+            mechanics.dense(mechanics.mass_matrix),
             forces,
             [mechanics.energy],
-            [entry for c in contacts for entry in (*c.jacobian_n, *c.jacobian_t)],
+            mechanics.dense(row for c in contacts for row in (c.jacobian_n, c.jacobian_t)),
             [bias for c in contacts for bias in (c.bias_n, c.bias_t)],
             scalars,
             [number for r in rows for number in (r.gap, r.gap_rate, r.bias, r.status)],
-            [entry for row in rows for entry in row.jacobian],
+            mechanics.dense(row.jacobian for row in rows),
             pads,
             [limit for name in mechanics.scene.couplings for limit in mechanics.limits(name)],
-            [e for sign in self.signs for e in (sign.slip, sign.bias, sign.limit, *sign.row)],
+            [
+                number
+                for sign in self.signs
+                for number in (sign.slip, sign.bias, sign.limit, *mechanics.dense([dict(sign.row)]))
+            ],
         ]
         ends = accumulate(map(len, quantities), initial=0)
         self._slices = [slice(begin, end) for begin, end in pairwise(ends)]
@@ -369,7 +374,6 @@ def sign_frictions(
         return ()
     forces = [force.xreplace(known) for force in mechanics.generalised_forces]
     names = dict(zip(mechanics.variables, map(sp.Symbol, mechanics.variable_names), strict=True))
-    at_rest = dict.fromkeys(mechanics.a, sp.S.Zero)
     found = []
     for sign in sorted(set().union(*(f.atoms(sp.sign) for f in forces)), key=sp.default_sort_key):
         (slip,) = sign.args
@@ -377,14 +381,13 @@ def sign_frictions(
             continue  # A switch of places or of time.
         size = sp.Dummy("sign", real=True)
         effects = [sp.diff(force.xreplace({sign: size}), size) for force in forces]
-        row = tuple(sp.diff(slip, v) for v in mechanics.v)
-        limit = next((-e / r for e, r in zip(effects, row, strict=True) if r != 0), None)
+        row = {i: by for i, v in enumerate(mechanics.v) if (by := sp.diff(slip, v)) != 0}
+        limit = next((-effects[i] / by for i, by in row.items()), None)
         kinked = slip.has(sp.sign, sp.Abs, sp.Max, sp.Min, *mechanics.controller_state.values())
         if limit is None or kinked or limit.has(sp.sign, size):
             return ()
-        if any(sp.expand(e + limit * r) != 0 for e, r in zip(effects, row, strict=True)):
+        if any(sp.expand(e + limit * row.get(i, 0)) != 0 for i, e in enumerate(effects)):
             return ()
-        bias = mechanics.rate(slip).xreplace(at_rest)
         name = to_text(sp.sign(slip).xreplace(names)).replace(" ", "")
-        found.append(SignFriction(name, slip, bias, limit, row))
+        found.append(SignFriction(name, slip, mechanics.drift(slip), limit, (*row.items(),)))
     return tuple(found)

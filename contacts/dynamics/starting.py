@@ -346,10 +346,10 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
 
 
 def _format_values(names: Sequence[str], values: Array, changes: Array) -> str:
-    """Return the values that changed, the largest changes first."""
+    """Return the values that changed, the largest changes first, with digits that fit."""
     order = np.argsort(-np.abs(changes))
     changed = [
         k for k in order[:_MAX_NAMED] if abs(changes[k]) > _MIN_SHARE * np.abs(changes).max()
     ]
     ellipsis = ", ..." if len(changed) == _MAX_NAMED < len(names) else ""
-    return ", ".join(f"{names[k]} = {values[k]:.6g}" for k in changed) + ellipsis
+    return ", ".join(f"{names[k]} = {values[k]:.15g}" for k in changed) + ellipsis

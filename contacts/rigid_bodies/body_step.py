@@ -277,6 +277,8 @@ def _store_couplings(
         free = velocity(active.bodies, active.rows, space.mid.free_rates, i, 1)
         slip = active.free[i, 1] + active.bias[i, 1] + turned - free
         terms = abs(active.free[i, 1]) + abs(active.bias[i, 1]) + abs(turned) + abs(free)
+        # And what the limit stops in a step: at rest all others are zero.
+        terms += abs(active.free[i, 0])
         none = max(space.known[i], _COUPLING_ROUND_OFF * terms)
         slips = abs(slip) > max(none, active.levels[i, 2])
         mode = LOCKED

@@ -282,7 +282,8 @@ def closed_joints(
     points, sizes = joints.points.copy(), joints.sizes.copy()
     _, ends, speeds = joint_ends(joints, moved)
     way, parting = ends[:, 1] - ends[:, 0], speeds[:, 1] - speeds[:, 0]
-    across, held = way * _HELD[joints.kinds, :2], parting * _HELD[joints.kinds, :2]
+    # No negative zeros.
+    across, held = way * _HELD[joints.kinds, :2] + 0.0, parting * _HELD[joints.kinds, :2] + 0.0
     open_by = openings(joints, ends)
     one, other = joints.bodies.T
     angles = moved[0, one, 2] - moved[0, other, 2]
@@ -413,10 +414,10 @@ class LinkedMechanics(Mechanics):
         """The tape of `LinkNumbers`."""
         frames = [self.body_frame(name) for name in self.scene.bodies]
         poses = [part for (x, y), angle in frames for part in (x, y, angle)]
-        gradients = [part for pose in poses for part in self.gradient(pose)]
+        rows = self.dense((*map(self.gradient, poses), *self.mass_matrix))
         forces = self.generalised_forces
         damping = [derivative(force, rate) for force in forces for rate in self.v]
-        return self.tape([*poses, *gradients, *self.mass_matrix, *damping, *forces])
+        return self.tape([*poses, *rows, *damping, *forces])
 
     @cached_property
     def firsts(self) -> Ints:

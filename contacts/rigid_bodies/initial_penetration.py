@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -75,7 +76,8 @@ def check_penetration(
         if out and not contacts.is_covered(b):
             break
     else:
-        b, out = next(iter(deep)), _STUCK
+        b = next(iter(deep))
+        out = _misfit(numbers, surfaces, b, int(contacts.deepest[b])) or _STUCK
     where = deepest_of(b)
     if contacts.is_covered(b):
         b, where, out = _covered(numbers, contacts, names, b, where)
@@ -89,6 +91,32 @@ def check_penetration(
         advice=out,
         loc=("bodies", owners[b], key),
     )
+
+
+def _misfit(numbers: BodyNumbers, surfaces: Sequence[str], b: int, q: int) -> str:
+    """Return advice if body b is too large for the hollow circle with piece number q; else ""."""
+    pieces = numbers.pieces
+    s, (first, end) = q - len(pieces.bodies), pieces.begins[b : b + 2]
+    corners = pieces.vertices[pieces.firsts[first] : pieces.firsts[end]]
+    if s < 0 or numbers.surfaces.kinds[s] != HOLLOW or not len(corners):
+        return ""
+    radius, largest = float(numbers.surfaces.numbers[s, 2]), _enclosing_radius(corners)
+    if not largest > radius:
+        return ""
+    return (
+        f"it does not fit: the smallest circle around it has a radius of {largest:.6g}, and "
+        f"{surfaces[s]!r} of {radius:.6g}; make the circle larger, or the body smaller"
+    )
+
+
+def _enclosing_radius(points: Array) -> float:
+    """Return the radius of the smallest circle around points: the largest of any three (Helly)."""
+    three = points[np.array([*combinations(range(len(points)), 3)])]
+    sides = np.sort(np.linalg.norm(three - np.roll(three, 1, axis=1), axis=2), axis=1)
+    (dx, dy), (ex, ey) = (three[:, 1] - three[:, 0]).T, (three[:, 2] - three[:, 0]).T
+    acute = sides[:, 2] ** 2 < sides[:, 0] ** 2 + sides[:, 1] ** 2
+    sides[acute, 2] = sides[acute].prod(axis=1) / np.abs(dx * ey - dy * ex)[acute]
+    return 0.5 * float(sides[:, 2].max())
 
 
 def check_containers(

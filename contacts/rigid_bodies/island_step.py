@@ -554,11 +554,16 @@ def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
 def _remove_landings(active: ActiveContacts, members: Ints, impulses: Array, least: Array) -> bool:
     """Remove landings from the velocities `least` (m, 2) without impulses; return if there are any.
 
-    Contacts that bear are then at rest: what is left is what forces and rotation give in the step.
+    Contacts that bear, and the ends of joints that close, are then at rest: what is left is what
+    forces and rotation give in the step.
     """
     lands = False
     for a in range(len(members)):
         i = members[a]
+        for d in range(2 if active.materials[i, 0] < 0.0 else 0):
+            closing = active.landings[i] * (active.before[i, d] - active.bias[i, d])
+            least[a, d] -= closing
+            lands = lands or abs(closing) > _LANDS * abs(least[a, d])
         if (active.laws[i] < 0 and active.rolling_roles[i] != RESISTS) or impulses[a, 0] <= 0.0:
             continue
         least[a, 0] -= active.landings[i]

@@ -98,7 +98,7 @@ class PrescribedMotion:
     def __init__(self, mechanics: BodyMechanics, paths: Paths, values: Array) -> None:
         self._mechanics, self._paths, self._values = mechanics, paths, values
         self.controlled = bool(mechanics.scene.regions)
-        self.joints, self.leads = tuple(mechanics.scene.joints), paths.leads
+        self.joints, self.leads = mechanics.scene.joints, paths.leads
         # Poses at the last detection, and its step size.
         self._last: tuple[Array, float] | None = None
         self._saved: tuple[Array, float] | None = None
@@ -118,7 +118,7 @@ class PrescribedMotion:
     def captured(self, joint: str, remembered: Array) -> dict[str, float]:
         """Return the pose that a joint captured as it closed: x, y and turn."""
         known = dict(zip(self._mechanics.controller_state, remembered.tolist(), strict=True))
-        names = captured_variables(joint, self._mechanics.scene.joints[joint])
+        names = captured_variables(joint, self.joints[joint])
         return {name.rpartition(".")[2]: known[name] for name in names}
 
     def poses(self, time: float, remembered: Array) -> Array:

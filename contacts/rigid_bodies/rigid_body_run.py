@@ -24,6 +24,7 @@ from contacts.rigid_bodies.default_step import inner_radii
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
 from contacts.rigid_bodies.workspace import Workspace
+from contacts.scene.parts import Point
 from contacts.states import CLOSED
 from contacts.time_stepping.chunk import (
     BAD_INERTIA,
@@ -312,7 +313,7 @@ class RigidBodyRun(SteppedSystem):
         joints, pose = self.numbers.joints, self._prescribed.captured(joint, remembered)
         if "turn" in pose:
             joints.sizes[(joints.owners == j) & (joints.kinds == TURN), 0] = pose["turn"]
-        if "x" in pose and joints.bodies[j, 1] < self._moving:
+        if "x" in pose and isinstance(self._prescribed.joints[joint].to, Point):
             joints.points[j, 1] = pose["x"], pose["y"]
         return "x" in pose or "y" in pose
 
@@ -322,19 +323,29 @@ class RigidBodyRun(SteppedSystem):
         Raises `NoConsistentMode` if it captures no place, and its points are apart by more than a
         step moves them.
         """
-        joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
-        if self._capture(j, joint, remembered):
+        if self._capture(j, joint, state[2 * self.numbers.size :]):
             return
-        led = self._prescribed.poses(time, remembered)
-        moved = self.numbers.moved(state, np.stack([led, np.zeros_like(led)]))
-        _, ends, speeds = joint_ends(joints, moved)
-        distance, speed = openings(joints, ends)[j], np.hypot(*speeds[j].T).sum()
-        size = float(self.numbers.sizes[: self._moving].max())
-        if distance > 2.0 * self._length * speed + _JUMPED_INTO * size:
+        distance = self._apart(state, time)[j]
+        if distance > 0.0:
             raise NoConsistentMode(
                 f"joint {joint!r} closes at t = {time:.6g} while its points are {distance:.3g} "
                 "apart; write rest: captured, or let enabled hold where they meet"
             )
+
+    def _apart(self, state: Array, time: float) -> Array:
+        """Return by how much joints (j,) are open; 0 for less than a step moves their points."""
+        led = self._prescribed.poses(time, state[2 * self.numbers.size :])
+        moved = self.numbers.moved(state, np.stack([led, np.zeros_like(led)]))
+        joints = self.numbers.joints
+        _, ends, speeds = joint_ends(joints, moved)
+        distances, size = openings(joints, ends), float(self.numbers.sizes[: self._moving].max())
+        speeds, turns, welds = np.hypot(*speeds.T), moved[:, joints.bodies, 2], joints.kinds == TURN
+        distances[welds] = (
+            size * np.abs(turns[0, :, 0] - turns[0, :, 1] - joints.sizes[:, 0])[welds]
+        )
+        speeds[:, welds] = size * np.abs(turns[1]).T[:, welds]
+        allowed = 2.0 * self._length * speeds.sum(axis=0) + _JUMPED_INTO * size
+        return np.where(distances > allowed, distances, 0.0)
 
     def forget(self) -> None:
         """Revert the last steps."""
@@ -421,8 +432,8 @@ class RigidBodyRun(SteppedSystem):
             joints = ", or joints would not close" if len(self.numbers.joints.kinds) else ""
             parted = (
                 f"{pluralise(self._parted, 'step')} of {self._length:.6g} had to be split into up "
-                f"to {self._most_parts} parts: bodies would pass through each other, or turn by "
-                f"more than half a turn{joints}"
+                f"to {self._most_parts} parts: bodies would pass through each other, "
+                f"rebound far off, or turn by more than half a turn{joints}"
             )
             helps = self._most_parts < _PARTS[-1]
             too_long.append((parted, self._length / self._most_parts if helps else math.inf))
@@ -438,9 +449,8 @@ class RigidBodyRun(SteppedSystem):
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedSystem.steps`. A rejected step is split."""
-        if self._prescribed.controlled:
-            # Steps beyond a transition of a controller are reverted.
-            self._saved, self._before = self._warm.copy(), (self._added, self._moved)
+        # Steps beyond a jump are reverted.
+        self._saved, self._before = self._warm.copy(), (self._added, self._moved)
         self._prescribed.save()
         if self._gain_error is not None:
             raise self._gain_error
@@ -504,10 +514,19 @@ class RigidBodyRun(SteppedSystem):
         return chunk.first(k)
 
     def _check_jumps(self, start: float, state: Array) -> None:
-        """Raise `NoConsistentMode` if a path has jumped into a body."""
+        """Raise `NoConsistentMode` if a path has jumped into a body, or off a closed joint."""
         jumped = self._prescribed.jumped(start, state[2 * self.numbers.size :])
         if not jumped:
             return
+        advice = "write a path that moves there in a time, or by a variable that has a flow"
+        joints = self.numbers.joints
+        apart = self._apart(state, start) * joints.on[joints.owners]
+        if apart.any():
+            raise NoConsistentMode(
+                f"the path of {jumped[0]} jumps at t = {start:.6g}, and the points of joint "
+                f"{[*self._prescribed.joints][joints.owners[np.argmax(apart)]]!r} are "
+                f"{apart.max():.3g} apart; {advice}"
+            )
         met = self.detect(state, start, _INSTANT * self._length)
         landed = LANDED * float(self._warm.last_step[2]) + _JUMPED_INTO * self.numbers.sizes
         deep = met.gaps[: self._moving] + landed[: self._moving]
@@ -516,8 +535,7 @@ class RigidBodyRun(SteppedSystem):
             other = met.deepest_of(b, self.numbers.pieces.bodies, self._names, self.surfaces)
             raise NoConsistentMode(
                 f"the path of {jumped[0]} jumps, and body {self._names[b]!r} is "
-                f"{-met.gaps[b]:.3g} deep in {other}; write a path that moves there in a time, or "
-                "by a variable that has a flow"
+                f"{-met.gaps[b]:.3g} deep in {other}; {advice}"
             )
 
     def _check_forces(self, start: float, h: float, state: Array) -> None:

@@ -642,7 +642,7 @@ def check_turns(scene: SceneFields) -> None:
     for name, joint in scene.joints.items():
         key = "angle" if joint.angle is not None else "limits"
         for end in joint.ends.values() if getattr(joint, key) is not None else ():
-            body = scene.bodies[end.body]
+            body = scene.bodies[scene.owners()[end.body]]
             if body.inertia is None and not body.prescribed:
                 raise DeclarationProblem(
                     f"{end.body!r} is a particle, which has no angle",
@@ -803,7 +803,7 @@ def _motion(body: Body) -> str:
 
 
 def _check_joint_ends(scene: SceneFields) -> None:
-    """Check that joints hold free bodies."""
+    """Check that joints hold free bodies, to each other or to fixed and led ones."""
     owners = scene.owners()
     for name, joint in scene.joints.items():
         for key, end in joint.ends.items():
@@ -815,13 +815,14 @@ def _check_joint_ends(scene: SceneFields) -> None:
                     "bodies"
                 )
                 advice = "place the other body by coordinates, too, as the joint holds it"
-            elif body.prescribed:
+            elif body.prescribed and key == "point":
                 problem = (
-                    f"{owner!r} {_motion(body)}, and joints hold bodies that move by themselves"
+                    f"{owner!r} {_motion(body)}, and the point of a joint is on a body that moves "
+                    "by itself"
                 )
                 advice = (
-                    "hold the other body to the place, to: [0, 1], or along the path, "
-                    'to: ["v*time", 1]'
+                    "name a body with a mass in point, and this one in "
+                    f"to: {{body: {end.body}, at: [0, 0]}}"
                 )
             else:
                 continue

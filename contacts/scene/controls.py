@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 from pydantic import PrivateAttr
 
@@ -23,6 +23,11 @@ Value = TypeVar("Value")
 
 class ControlState(BaseState):
     """One state of a controller, and the controls that it sets."""
+
+    OTHER_WORDS: ClassVar = {
+        **BaseState.OTHER_WORDS,
+        "set controls control outputs output": "sets: {CONTROL: FORMULA}",
+    }
 
     sets: dict[str, FormulaText] = declare(
         "Values of controls while the state is active; inner states may override them.",

@@ -278,9 +278,9 @@ def _start(scene: SceneFields, values: Mapping[str, float] | None) -> dict[str, 
 
 def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
     body = scene.single_bodies()[name]
-    if body.position is not None:
-        x, y = body.position
-        return f"({x})", f"({y})", f"({0 if body.angle is None else body.angle})"
+    if body.position is not None or body.fixed:
+        x, y, angle = body.path
+        return f"({x})", f"({y})", f"({angle})"
     return f"{name}.x", f"{name}.y", f"{name}.angle" if body.inertia is not None else "0"
 
 

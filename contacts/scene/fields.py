@@ -418,11 +418,13 @@ class SceneFields(Declaration):
         return {"X": "Y", "Y": "X"}[held[0]] if len(held) == 1 else ""
 
     def coupled(self, coupling: str) -> tuple[str, ...]:
-        """Return the one or two bodies of a coupling."""
+        """Return the one or two bodies of a coupling; a fixed end of its joint is the world."""
         declared = self.couplings[coupling]
         if declared.bodies is not None:
             return declared.bodies
-        return tuple(end.body for end in self.joints[declared.joint or ""].ends.values())
+        fixed = {name for name, owner in self.owners().items() if self.bodies[owner].fixed}
+        ends = self.joints[declared.joint or ""].ends.values()
+        return tuple(end.body for end in ends if end.body not in fixed)
 
     @property
     def kinematic_names(self) -> frozenset[str]:

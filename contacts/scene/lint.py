@@ -91,8 +91,15 @@ def _static_by_hand(scene: SceneFields) -> Iterator[str]:
 
 
 def _idle(scene: SceneFields) -> Iterator[str]:
-    """Yield warnings about bodies with shapes, and surfaces, that are in no collisions."""
+    """Yield warnings about bodies with shapes, and surfaces, that are in no collisions.
+
+    Fixed and led bodies may serve as ends of joints alone.
+    """
     bodies = {name for law in scene.collisions.values() for name in law.bodies}
+    owners = scene.owners()
+    for joint in scene.joints.values():
+        ends = {owners[end.body] for end in joint.ends.values()}
+        bodies |= {name for name in ends if scene.bodies[name].prescribed}
     surfaces = {name for law in scene.collisions.values() for name in law.surfaces}
     for kind, idle in (
         (

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import sympy as sp
 
     _Pair = tuple[sp.Expr, sp.Expr]
+    _Row = dict[int, sp.Expr]  # Index of a coordinate -> its entry; all others are zero
 
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
@@ -57,9 +58,9 @@ class ContactSymbols:
     anchor: _Pair
     slipping: _Pair
     normal: _Pair  # Unit vector of the surface there, out of the solid
-    # `jacobian_n`, `jacobian_t`: d(normal, tangential velocity)/d(rates), one per coordinate
-    jacobian_n: tuple[sp.Expr, ...]
-    jacobian_t: tuple[sp.Expr, ...]
+    # `jacobian_n`, `jacobian_t`: d(normal, tangential velocity)/d(rates)
+    jacobian_n: _Row
+    jacobian_t: _Row
     # `bias_n`, `bias_t`: Their rates at zero accelerations of the coordinates
     bias_n: sp.Expr
     bias_t: sp.Expr
@@ -71,9 +72,8 @@ class ContactSymbols:
     H: sp.Symbol
     friction: FrictionSymbols
     # d(normal, tangential velocity)/d(rates) on coordinates and pads
-    jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
-    joints: tuple[tuple[sp.Expr, ...], ...]  # Jacobian of the scene's joints, row by row
-    joint_forces: tuple[sp.Symbol, ...]  # Forces of these rows
+    jacobian: tuple[_Row, _Row]
+    joints: tuple[tuple[sp.Symbol, _Row], ...]  # Forces and Jacobian of the joints, row by row
     # `closing`, `sticking`: Constraints of a closed gap, and of a sticking point
     closing: Hold
     sticking: Hold
@@ -169,7 +169,7 @@ class SignFriction(NamedTuple):
     slip: sp.Expr  # The rate in the sign.
     bias: sp.Expr  # Its derivative where nothing accelerates.
     limit: sp.Expr
-    row: tuple[sp.Expr, ...]  # (n,): derivatives of the slip by the rates.
+    row: tuple[tuple[int, sp.Expr], ...]  # Items of the derivatives of the slip by the rates.
 
 
 class Bearing(NamedTuple):
@@ -218,7 +218,7 @@ def share_of(
         return State((*independent, *other_equations), state.margins, values=state.values)
     n, t = contact.friction.edges[0 if pinned else direction]
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
-    w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
+    w, u = (sp.Add(*(row[i] * y[i] for i in places if i in row)) for row in contact.jacobian)
     # The tangential component of the edge.
     t = t if pinned and zone == "upper" else -t if pinned else -direction * t
     if limit is None:
@@ -236,7 +236,7 @@ def share_of(
     residual = (bears[0] - carried_force[0], bears[1] - carried_force[1])
     balances = {
         y[i]: sp.Add(
-            *(row[i] * force for row, force in zip(contact.jacobian, residual, strict=True))
+            *(row.get(i, 0) * force for row, force in zip(contact.jacobian, residual, strict=True))
         )
         for i in places
     }
@@ -245,22 +245,25 @@ def share_of(
         del carried[contact.V]
     for joint in bearing.joints:
         # The joint force with load sharing, and the one if the carriers bear all of the load.
-        force, row = contact.joint_forces[joint], contact.joints[joint]
+        force, row = contact.joints[joint]
         reaction = sp.Symbol(f"x{joint}", real=True)
         carriers[str(force)] = carried[force] = sp.Symbol(f"alone_{force}", real=True)
         laws[force] = force - carried[force] - reaction
-        displacement = balances[reaction] = sp.Add(*(row[i] * y[i] for i in places))
-        for i in places:
+        shared = [i for i in places if i in row]
+        displacement = balances[reaction] = sp.Add(*(row[i] * y[i] for i in shared))
+        for i in shared:
             # A spring at the joint, with zero deflection, makes the pivots nonzero.
             balances[y[i]] += row[i] * (reaction + displacement)
     known: dict[sp.Expr, sp.Expr] = {}
-    for (name, slip, _, most, row), zone in bearing.signs:
-        spring = sp.Add(*(row[i] * y[i] for i in places if i < len(row)))
+    for (name, slip, _, most, items), zone in bearing.signs:
+        row = dict(items)
+        shared = [i for i in places if i in row]
+        spring = sp.Add(*(row[i] * y[i] for i in shared))
         # A sign on its bound has it in the equations of motion.
         side = {"upper": 1, "lower": -1}.get(zone, 0)
         known[sp.sign(slip)] = sp.Integer(-side)
-        for i in places:
-            balances[y[i]] += row[i] * spring if side == 0 and i < len(row) else 0
+        for i in shared:
+            balances[y[i]] += row[i] * spring if side == 0 else 0
         clearances = (side * spring - most,) if side else (most - spring, most + spring)
         margins += tuple(
             Margin(f"{name}.{k}", clearance, "force") for k, clearance in enumerate(clearances)

@@ -236,16 +236,15 @@ class Scene(SceneFields):
                     )
         check_formulas(self, findings)
         check_led_surfaces(self, findings)
+        self._check_enabled(findings)
         for name, contact in self.contacts.items():
             self._check_contact(findings, name, contact)
-        for name, coupling in self.couplings.items():
+        for name in self.couplings:
             with findings:
                 check_coupled(self, name)
-            self._check_enabled(findings, coupling.enabled, "couplings", name)
 
     def _check_contact(self, findings: Findings, name: str, contact: Contact) -> None:
         at: Loc = ("contacts", name)
-        self._check_enabled(findings, contact.enabled, *at)
         surface = self.surfaces.get(contact.surface)
         if surface is None:
             return
@@ -268,16 +267,20 @@ class Scene(SceneFields):
                     loc=(*at, "surface"),
                 )
 
-    def _check_enabled(self, findings: Findings, relations: Iterable[str], *at: str | int) -> None:
+    def _check_enabled(self, findings: Findings) -> None:
+        relations: list[tuple[str, Loc]] = [
+            (text, (section, name, "enabled", place))
+            for section, parts in (("contacts", self.contacts), ("couplings", self.couplings))
+            for name, part in parts.items()
+            for place, text in enumerate(part.enabled)
+        ]
         parameters = frozenset(self.parameters)
-        seen = self.kinematic_names | self.placed_names
-        seen |= {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
-        seen |= {f"{coupling}.slip" for coupling in self.couplings}
+        known = self.kinematic_names | self.placed_names | {*self.controls}
+        known |= {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+        known |= {f"{coupling}.slip" for coupling in self.couplings}
         ropes = {joint_name for joint_name, joint in self.joints.items() if joint.rope is not None}
-        for place, text in enumerate(relations):
+        for text, here in relations:
             with findings:
-                known = seen | {*self.controls}
-                here: Loc = (*at, "enabled", place)
                 for member in parse_relation(text).members:
                     owner = member.region
                     if owner in self.frictional or owner in ropes:

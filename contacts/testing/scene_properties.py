@@ -268,7 +268,7 @@ def _work_of_catches(
     rows = [row for contact in contacts for row in (contact.jacobian_n, contact.jacobian_t)]
     forces = [force for contact in contacts for force in mechanics.forces[contact.name]]
     moved = [part for name in names for part in rates[name]]
-    expressions = [*mechanics.mass_matrix, *(entry for row in rows for entry in row)]
+    expressions = mechanics.dense((*mechanics.mass_matrix, *rows))
     expressions += [*mechanics.generalised_forces, *forces, *moved]
     for k, values in enumerate(subject.solved(trace, arc, middles, expressions)):
         mass, jacobian, applied, shown, speeds = np.split(
@@ -296,7 +296,7 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
     """
     assert trace.step is not None
     n = len(mechanics.q)
-    expressions = [*mechanics.mass_matrix, *mechanics.generalised_forces]
+    expressions = [*mechanics.dense(mechanics.mass_matrix), *mechanics.generalised_forces]
     largest = 0.0
     for arc in trace.arcs:
         values = subject.solved(trace, arc, arc.times[:-1], expressions)

@@ -55,7 +55,7 @@ class SteppedTape:
         set_in = [known[symbol] for symbol in mechanics.controls]
         signs = _Signs(forces, set_in, mechanics)
         forces, set_in = signs.middle[: len(forces)], signs.middle[len(forces) :]
-        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
+        outputs: list[sp.Expr] = [*mechanics.dense(mechanics.mass_matrix), *forces]
         derivatives = [derivative(force, rate) for force in forces for rate in mechanics.v]
         self.damped = any(derivative != 0 for derivative in derivatives)
         if self.damped:
@@ -66,7 +66,7 @@ class SteppedTape:
         rigid, sizes = self.names[: len(self.names) - self.couplings], mechanics.sizes
         for name in self.names:
             contact = mechanics.contact(name)
-            outputs += [*contact.jacobian_n, *contact.jacobian_t]
+            outputs += mechanics.dense((contact.jacobian_n, contact.jacobian_t))
             coupled = name in mechanics.scene.couplings
             static, kinetic = (
                 (limit.xreplace(known) for limit in mechanics.limits(name))
@@ -90,7 +90,8 @@ class SteppedTape:
         for row in rows:
             # An open joint has a zero row.
             on = known.get(row.closed, sp.S.One)
-            outputs += [*(on * entry for entry in row.jacobian), row.gap, row.gap_rate, row.bias]
+            outputs += [on * entry for entry in mechanics.dense([row.jacobian])]
+            outputs += [row.gap, row.gap_rate, row.bias]
             outputs.append(row.status.xreplace(known))
         self.joint_rows = len(rows)
         self.limits = StepLimits(mechanics, forces)

@@ -138,12 +138,11 @@ class StepLimits:
     def __init__(self, mechanics: Mechanics, forces: Sequence[sp.Expr]) -> None:
         self._size = len(mechanics.q)
         stiffness = [-derivative(force, place) for force in forces for place in mechanics.q]
+        mass = mechanics.dense(mechanics.mass_matrix)
         self._stiffness = (
-            mechanics.tape([*mechanics.mass_matrix, *stiffness])
-            if any(entry != 0 for entry in stiffness)
-            else None
+            mechanics.tape([*mass, *stiffness]) if any(entry != 0 for entry in stiffness) else None
         )
-        self._mass = mechanics.tape([*mechanics.mass_matrix])
+        self._mass = mechanics.tape(mass)
         changing = {
             *mechanics.q,
             *mechanics.v,

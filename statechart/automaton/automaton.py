@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import sympy as sp
 
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array
 from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
 from statechart.automaton.regions import Invariant, Margin, Mode, Region, StopCondition, active_in
@@ -116,6 +116,12 @@ class Automaton:
         return tuple(region.name for region in self.regions)
 
     @cached_property
+    def places(self) -> tuple[Mapping[str, int], ...]:
+        """Indices of regions, variables and parameters by name."""
+        groups = self.region_names, self.names, self.parameter_names
+        return tuple({name: place for place, name in enumerate(names)} for names in groups)
+
+    @cached_property
     def colours(self) -> Mapping[str, Mapping[str, str]]:
         """Region -> state (with declared names) -> colour."""
         names = [
@@ -193,13 +199,8 @@ class Places:
     """Indices of the regions, variables and parameters of a component in the whole."""
 
     def __init__(self, component: Component, whole: Automaton) -> None:
-        part, named = component.automaton, component.named
-
-        def places(names: Sequence[str], of: Sequence[str]) -> Ints:
-            index = {name: place for place, name in enumerate(of)}
-            return np.array([index[named(name)] for name in names], np.int64)
-
         self.whole = whole
-        self.regions = places(part.region_names, whole.region_names)
-        self.variables = places(part.names, whole.names)
-        self.parameters = places(part.parameter_names, whole.parameter_names)
+        self.regions, self.variables, self.parameters = (
+            np.array([index[component.named(name)] for name in names], np.int64)
+            for index, names in zip(whole.places, component.automaton.places, strict=True)
+        )

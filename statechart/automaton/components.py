@@ -71,24 +71,24 @@ def split(
     if any(NEUTRAL.search(text) for text in _texts(data)):
         return []
     groups[0] = groups[0].union(*idle, (e for e in static if e[0] == "stop"))
+    declared = [(s, name) for s, x in data.items() if isinstance(x, dict) for name in x]
+    declared += (("stop", name) for name in stops)
+    order = {entity: place for place, entity in enumerate(declared)}
     return [
         _component_declaration(
-            data, group.union(*(mentions[e] & static for e in group)), static, words
+            data,
+            sorted(group.union(*(mentions[e] & static for e in group)), key=order.__getitem__),
+            static,
+            words,
         )
         for group in groups
     ]
 
 
 def _component_declaration(
-    data: Data, group: set[Entity], static: set[Entity], words: set[str]
+    data: Data, group: Sequence[Entity], static: set[Entity], words: set[str]
 ) -> tuple[Data, dict[str, str]]:
-    entities = [
-        (section, name)
-        for section, content in data.items()
-        if section != "stop" and isinstance(content, dict)
-        for name in content
-        if (section, name) in group and (section, name) not in static
-    ]
+    entities = [e for e in group if e[0] != "stop" and e not in static]
     names = {
         name: name if {name, f"d{name}"} & words else f"zz{place}zz"
         for place, (_, name) in enumerate(entities)
@@ -102,15 +102,13 @@ def _component_declaration(
     for key, content in data.items():
         if key in _DROPPED:
             continue
-        if key in sections and key != "stop":
-            content = {n: v for n, v in content.items() if (key, n) in group}
-        elif key == "stop":
-            conditions = {
-                n: v for n, v in content.get("conditions", {}).items() if ("stop", n) in group
-            }
-            content = {**content, "conditions": conditions}
+        if key == "stop":
+            conditions = content.get("conditions", {})
+            content = {**content, "conditions": {n: conditions[n] for s, n in group if s == key}}
+        elif key in sections:
+            content = {n: content[n] for s, n in group if s == key}
         elif key == "modes":
-            content = {n: v for n, v in content.items() if n in names}
+            content = {n: content[n] for n in names if n in content}
         elif isinstance(content, dict) and key not in ("parameters", "settings", "units"):
             continue
         declaration[key] = content if key == "parameters" else _rename(content, names | rates)

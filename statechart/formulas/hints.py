@@ -6,7 +6,7 @@ import re
 import unicodedata
 from collections.abc import Collection, Iterable, Mapping
 
-from statechart.errors import close_matches
+from statechart.errors import close_matches, owner_or_matches
 
 _TOGETHER = "digits of a number stand together: 10000, or 1e4"
 _CHARACTERS: Mapping[str, str] = {
@@ -152,10 +152,30 @@ _WORDS: Mapping[str, str] = {
     ),
     **dict.fromkeys(("noevent", "smooth"), "write its argument: a switch is not an event"),
     "integral": "write a variable with flows: {i: x}",
+    "cbrt": "write sign(x)*abs(x)**(1/3)",
     "log10": "write log(x)/log(10)",
     **dict.fromkeys(("log2", "lb"), "write log(x)/log(2)"),
 }
+# State in other words -> ours, of a contact or a joint.
+_STATES: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(
+        ("broken", "open", "opened", "disabled", "inactive", "detached"), ("off", "free")
+    ),
+    **dict.fromkeys(("on", "enabled", "active", "attached", "held"), ("closed",)),
+    **dict.fromkeys(("stick", "sticking", "stuck", "rolling", "static"), ("pin", "locked")),
+    **dict.fromkeys(("air", "flight", "flying", "apart"), ("free",)),
+    **dict.fromkeys(("slip", "slipping", "kinetic", "taut"), ("slide",)),
+}
 _MODULES = ("math.", "np.", "numpy.")
+
+
+def state_meant(region: str, state: str, states: Mapping[str, Collection[str]]) -> str:
+    """Return advice on an unknown state or region in ``in(...)``."""
+    known = states.get(region, ())
+    for own in _STATES.get(state.lower(), ()):
+        if own in known:
+            return f"write in({region}.{own}); known: {', '.join(sorted(known))}"
+    return owner_or_matches(region, state, states)
 
 
 def meant(
@@ -175,6 +195,8 @@ def meant(
     whole, dot, part = name.rpartition(".")
     if dot and (same := f"{whole}.{_PARTS.get(part.lower(), part)}") in names:
         return f"write {same}"
+    if dot and part == "count":
+        return f"an output counts events: {{count: {whole}.EVENT}}"
     owners = sorted(own for own in names if dot and own.endswith(f".{part}"))
     if owners and any(own.startswith(f"{whole}.") for own in names):
         return f"{whole} has no {part}; write {' or '.join(owners[:3])}"

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
-from statechart.errors import owner_or_matches
 from statechart.formulas.condition import (
     And,
     Atom,
@@ -25,6 +24,7 @@ from statechart.formulas.condition import (
     replaced,
 )
 from statechart.formulas.formula import Formula, rewrite_overflow
+from statechart.formulas.hints import state_meant
 from statechart.formulas.syntax import RELATIONS, Reader
 from statechart.formulas.tree import Source
 
@@ -132,9 +132,9 @@ class Relation:
                 source.fail("no state can be asked for here", member.offset, advice)
             region, state = member.region, member.state
             if state not in states.get(region, ()):
-                missing = f"state {state!r}" if region in states else f"region {region!r}"
-                advice = owner_or_matches(region, state, states)
-                source.fail(f"no {missing}", member.offset, advice)
+                own = f"region {region!r}"
+                missing = f"{own} has no state {state!r}" if region in states else f"no {own}"
+                source.fail(missing, member.offset, state_meant(region, state, states))
 
     def require_still(self, changing: Collection[str]) -> None:
         """Raise `FormulaError` at the first ``==`` or ``!=`` of names that vary along flows."""

@@ -228,6 +228,18 @@ def test_values_at_the_bounds_are_allowed() -> None:
     assert read_text("a: 1\n" + comment).data == {"a": 1}
 
 
+def test_a_scene_of_a_thousand_bodies_is_read() -> None:
+    bodies = "".join(f"  p{i}:\n    mass: 1\n    start:\n      y: {i}\n" for i in range(1000))
+    contacts = "".join(
+        f"  c{i}:\n    point: {{body: p{i}}}\n    surface: ground\n    friction: 0.3\n"
+        "    restitution: 0.5\n"
+        for i in range(1000)
+    )
+    found = read_text(f"bodies:\n{bodies}contacts:\n{contacts}")
+    assert [*found.data["bodies"]] == [f"p{i}" for i in range(1000)]
+    assert found.data["contacts"]["c999"]["point"] == {"body": "p999"}
+
+
 def test_hostile_input_is_rejected_before_it_is_built() -> None:
     # Would take 9^20 list items if the aliases were followed.
     with pytest.raises(DeclarationError, match="anchor"):

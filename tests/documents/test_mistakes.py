@@ -392,6 +392,8 @@ OF_CHARTS = {
     "rising edge": ("guard: T >= 20", "guard: edge(T - 20)", "fires as it becomes true"),
     "random": ("{T: 1}", "{T: rand()}", "runs are not random; write a parameter, and sweep it"),
     "other logarithm": ("{T: 1}", "{T: log10(T)}", "write log(x)/log(10)"),
+    "cube root": ("{T: 1}", "{T: cbrt(T)}", "write sign(x)*abs(x)**(1/3)"),
+    "count of events": ("guard: T >= 20", "guard: go.count >= 2", "{count: go.EVENT}"),
     "Euler's number": ("{T: 1}", "{T: e**(-T)}", "its power is exp(...)"),
     "choice": ("n: n + 1", "n: if T > 1 then 2 else 3", "a state or transition for each case"),
     "ternary": ("n: n + 1", "n: 'T > 1 ? 2 : 3'", "a state or transition for each case"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -250,6 +251,21 @@ def test_a_redundant_joint_changes_only_the_sharing_of_forces() -> None:
     assert trace.parameters["again.redundant_x"] == trace.parameters["again.redundant_y"] == 1.0
 
 
+def test_redundant_joints_are_found_in_each_of_several_mechanisms() -> None:
+    # Rods b on pivots of their own; the first and the last are held twice.
+    bodies = {f"b{i}": Body(mass=1, inertia=1, start={"x": 3 * i + 1}) for i in range(3)}
+    pivots = {
+        f"{name}{i}": Joint(point=Point(body=f"b{i}", at=(-1, 0)), to=(3 * i, 0))
+        for name, which in (("pivot", (0, 1, 2)), ("again", (0, 2)))
+        for i in which
+    }
+    trace = _run(Scene(name="rods", gravity=1, bodies=bodies, joints=pivots))
+    redundant = {
+        name for name, value in trace.parameters.items() if ".redundant_" in name and value
+    }
+    assert redundant == {f"again{i}.redundant_{c}" for i in (0, 2) for c in "xy"}
+
+
 @pytest.mark.parametrize("name", ENGINES)
 def test_a_jointed_body_lands_as_the_same_body_in_its_angles(name: str) -> None:
     # Two links from a pivot fall on the ground: a frictional impact, then sliding.
@@ -391,6 +407,25 @@ def test_a_joint_open_at_the_start_is_named_with_the_position_that_closes_it() -
     )
     assert "a position that closes all: " in problem.advice
     assert "rod.y = " in problem.advice
+
+
+def test_advice_on_an_open_joint_closes_it() -> None:
+    # Copied from a report of seven digits.
+    start = {"x": 0.4207355, "y": -0.2701512, "angle": 1.0, "dx": 0.1350756, "dy": 0.2103677}
+    start["dangle"] = 0.5
+    for _ in range(2):
+        listed = ", ".join(f"{key}: {value!r}" for key, value in start.items())
+        text = f"""
+kind: scene
+name: copied
+bodies: {{rod: {{mass: 1, inertia: 1/12, start: {{{listed}}}}}}}
+joints: {{hook: {{point: {{body: rod, at: [0, 0.5]}}, to: [0, 0]}}}}
+"""
+        for key, value in re.findall(r"rod\.(\w+) = ([-.e\d]+)", _refused(text).advice):
+            start[key] = float(value)
+    listed = ", ".join(f"{key}: {value!r}" for key, value in start.items())
+    closed = automaton(_read(re.sub(r"start: \{.*?\}", f"start: {{{listed}}}", text)))
+    Simulator(closed, Taylor(1e-12)).run(until=0.1)
 
 
 def test_a_loop_that_cannot_close_is_refused() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from contacts.kind import automaton
 from contacts.scene.joints import Force
 from contacts.scene.parts import Body, Coordinate
 from contacts.scene.scene import Scene
+from statechart.automaton.automaton import Places
 
 
 def snapshot(scene: Scene, state: list[float]):
@@ -88,3 +91,44 @@ def test_a_moment_and_a_force_off_centre_turn_a_body() -> None:
     )
     found = snapshot(scene, [0.0] * 6)
     assert np.linalg.solve(found.mass, found.forces) == pytest.approx([0.0, 1.5, 2.5 / 4])
+
+
+def particles(count: int) -> Scene:
+    """Return particles above the ground, with a contact each."""
+    heights = {f"p{i}": 1.0 + 0.1 * i for i in range(count)}
+    return Scene(
+        name="particles",
+        gravity=9.81,
+        bodies={name: {"mass": 1, "start": {"y": y}} for name, y in heights.items()},
+        surfaces={"ground": {"height": 0}},
+        contacts={
+            f"c{name}": {
+                "point": {"body": name},
+                "surface": "ground",
+                "friction": 0.3,
+                "restitution": 0,
+            }
+            for name in heights
+        },
+    )
+
+
+def test_the_cost_of_composition_is_linear_in_the_number_of_independent_bodies() -> None:
+    def calls(count: int) -> int:
+        scene, made = particles(count), 0
+
+        def called(frame: object, event: str, argument: object) -> None:
+            nonlocal made
+            made += event == "call"
+
+        sys.setprofile(called)
+        try:
+            built = automaton(scene)
+            for component in built.components():
+                Places(component, built)
+        finally:
+            sys.setprofile(None)
+        return made
+
+    calls(2)
+    assert calls(80) < 2.1 * calls(40)

@@ -44,6 +44,7 @@ def place(text: str, token: str, after: str) -> str:
         ("{push: 0}", "{push: 0, cart: 1}", "cart", "'cart' is a body already, bodies.cart (line "),
         ("regions:\n  driver:", "regions:\n  wheel:", "wheel", "'wheel' is a contact already"),
         ("regions:\n  driver:", "regions:\n  push:", "push", "'push' is a control already"),
+        ("go: {sets:", "go: {set:", "set", "unknown key 'set'; write sets: {CONTROL: FORMULA}"),
         ("initial: go", "initial: gone", "gone", "no state 'gone'; did you mean 'go'"),
         ("to: rest", "to: rust", "rust", "no state 'rust'; did you mean 'rest'"),
         ("guard: cart.dx <= 0", "guard: cart.v <= 0", "cart.v", "unknown name 'cart.v'"),

@@ -171,6 +171,21 @@ def test_states_and_equalities_are_checked():
     with pytest.raises(FormulaError, match="no state 'shutt'; did you mean 'shut'") as caught:
         relation.require_states({"gate": ("open", "shut")})
     assert caught.value.offset == 10
+    for asked, known, written in (
+        (
+            "in(hook.broken)",
+            ("closed", "off"),
+            r"'hook' has no state 'broken'; write in\(hook.off\)",
+        ),
+        (
+            "in(foot.stick)",
+            ("free", "slide", "pin"),
+            r"write in\(foot.pin\); known: free, pin, slide",
+        ),
+        ("in(foot.open)", ("free", "slide"), r"write in\(foot.free\)"),
+    ):
+        with pytest.raises(FormulaError, match=written):
+            parse_relation(asked).require_states({asked[3:7]: known})
     with pytest.raises(FormulaError, match="no region 'gate'"):
         relation.require_states({"door": ("open",)})
     with pytest.raises(FormulaError, match="== compares 'x', which changes between events"):

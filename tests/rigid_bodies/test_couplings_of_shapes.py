@@ -293,3 +293,37 @@ settings: {{engine: impulse, step: 1e-3}}
     assert result.trace.final[11] == pytest.approx(spun, abs=2 * 2e-3)
     brakes = [jump.cause for jump in result.trace.jumps if jump.region == "brake"]
     assert brakes == (["open"] if opens else ["close", "lock"])
+
+
+@pytest.mark.parametrize("to", ["[0, 0]", "{body: frame}"])
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4])
+def test_a_hinge_with_friction_that_has_come_to_rest_stays_locked(to, step):
+    """Without gravity all velocities are zero then, and round-off must not count as slip."""
+    text = f"""
+kind: scene
+name: swing_door
+bodies:
+  frame: {{fixed: true, start: {{x: 5}}, shape: {{disc: 0.02}}}}
+  door: {{mass: 10, inertia: 0.6, shape: {{disc: 0.02}}, start: {{x: 0.4, dangle: 2, dy: 0.8}}}}
+joints:
+  hinge:
+    point: {{body: door, at: [-0.4, 0]}}
+    to: {to}
+    limits: [-0.5, 1]
+    restitution: 0.4
+couplings: {{rub: {{joint: hinge, limit: 0.2}}}}
+collisions: {{a: {{bodies: [door, frame], friction: 0, restitution: 0}}}}
+settings: {{engine: impulse, step: {step}}}
+"""
+    text = text.replace("start: {x: 5}, ", "") if "frame" in to else text
+    trace = Runner(interpret(read_text(text))).run(until=6.0).trace
+    events = [(jump.t, jump.cause) for jump in trace.jumps if jump.region == "rub"]
+    assert [cause for _, cause in events] == ["reverse", "reverse", "lock"]
+    # I = 0.6 + 10 (0.4)**2; the couple takes 0.2/I of the rate in every second.
+    slowing = 0.2 / 2.2
+    turn, rate, rest = 1.0, math.sqrt(4.0 - 2.0 * slowing), 0.0
+    rest += (2.0 - rate) / slowing
+    rate *= 0.4
+    met = math.sqrt(rate**2 - 2.0 * slowing * (turn + 0.5))
+    rest += (rate - met) / slowing + 0.4 * met / slowing
+    assert events[-1][0] == pytest.approx(rest, abs=10 * step)

@@ -136,7 +136,7 @@ bodies:
     mass: 0.01
     inertia: 4e-7
     shape: {polygon: [[-8e-3, -8e-3], [8e-3, -8e-3], [8e-3, 8e-3], [-8e-3, 8e-3]]}
-    copies: 5
+    copies: 3
     start: {y: 0.1 + 0.1*index, angle: index, dangle: 30}
 surfaces: {floor: {height: 0}}
 collisions: {dice: {bodies: [die], surfaces: [floor], friction: 0.3, restitution: 0.4}}

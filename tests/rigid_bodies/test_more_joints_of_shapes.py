@@ -469,3 +469,58 @@ def test_points_that_do_not_meet_are_not_joined():
     )
     assert result.trace.outcome == Outcome.NO_CONSISTENT_MODE
     assert "rest: captured" in result.trace.message
+
+
+CAUGHT = """
+kind: scene
+name: caught
+gravity: 9.81
+parameters: {{F: 1000}}
+bodies: {{bob: {{mass: 1, inertia: 0.01, shape: {{disc: 0.05}}, start: {{dx: 1, dangle: 3}}}}}}
+joints:
+  j:
+    point: {{body: bob, at: [0.1, 0]}}
+    to: [0, 0]
+    rest: captured
+    enabled: time >= 0.2 and hypot(j.X, j.Y) <= F{keys}
+collisions: {{all: {{bodies: [bob], friction: 0, restitution: 0}}}}
+settings: {{engine: impulse, step: {step}}}
+outputs:
+  X: {{maximum: abs(j.X)}}
+  Y: {{maximum: j.Y}}
+  breaks: {{value: time, at: first j.disable}}
+"""
+
+
+@pytest.mark.parametrize("step", [2e-3, 5e-4])
+def test_forces_of_a_joint_that_closes_contain_no_impulse(step):
+    """A weld in mid-flight bears the weight alone, and holds if its strength is above it."""
+    runner = Runner(interpret(read_text(CAUGHT.format(keys="\n    angle: held", step=step))))
+    outputs = runner.run({"F": 9.9}, until=0.3).outputs
+    assert outputs["breaks"] is None
+    assert outputs["Y"] == pytest.approx(G, rel=1e-6)
+    assert outputs["X"] == pytest.approx(0.0, abs=1e-6)
+    assert runner.run({"F": 9.7}, until=0.3).outputs["breaks"] == pytest.approx(0.2, abs=step)
+
+
+@pytest.mark.parametrize("step", [2e-3, 5e-4])
+def test_a_hinge_that_closes_bears_the_centripetal_force(step):
+    """The largest forces are those of the pendulum with the angular momentum about the hinge."""
+    turned, falls, arm, inertia = 0.6, G * 0.2, 0.1, 0.01 + 0.1**2
+    across = -math.sin(turned), math.cos(turned)
+    rate = (0.01 * 3 - arm * (across[0] * 1 - across[1] * falls)) / inertia
+
+    def forces(t, y):
+        c, s = math.cos(y[0]), math.sin(y[0])
+        bend = arm * G * c / inertia  # the mass is at -arm (c, s)
+        return arm * (bend * s + y[1] ** 2 * c), arm * (-bend * c + y[1] ** 2 * s) + G
+
+    def rates(t, y):
+        return [y[1], arm * G * math.cos(y[0]) / inertia]
+
+    times = np.linspace(0.0, 0.1, 2001)
+    path = solve_ivp(rates, (0.0, 0.1), [turned, rate], t_eval=times, rtol=1e-10, atol=1e-12).y
+    x, y = np.array([forces(t, state) for t, state in zip(times, path.T, strict=True)]).T
+    outputs = Runner(interpret(read_text(CAUGHT.format(keys="", step=step)))).run(until=0.3).outputs
+    assert outputs["X"] == pytest.approx(np.abs(x).max(), abs=60 * step)
+    assert outputs["Y"] == pytest.approx(y.max(), abs=60 * step)

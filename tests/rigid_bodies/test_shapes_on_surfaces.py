@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -464,3 +465,23 @@ def test_fast_disc_in_a_bowl_stops_bouncing():
     assert len(found.jumps) < 6
     assert not found.warnings
     np.testing.assert_allclose(found.final, exact.final, rtol=0, atol=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("polygon", "reach"),
+    [
+        ("[[-0.5, -0.1], [0.5, -0.1], [0.5, 0.1], [-0.5, 0.1]]", 0.509902),  # half the diagonal
+        ("[[-0.5, -0.3], [0.5, -0.3], [0, 0.5660254]]", 0.57735),  # side/sqrt(3)
+        ("[[-0.5, -0.1], [0.5, -0.1], [0, 0.1]]", 0.5),  # obtuse: half of its longest side
+    ],
+)
+def test_a_polygon_that_cannot_fit_into_a_hollow_circle_is_said_to(polygon, reach):
+    shape = re.sub("shape: .*", f"shape: {{polygon: {polygon}}}", OUTLINES["box"])
+    for radius, words in ((reach - 0.04, f"around it has a radius of {reach:.6g}"), (0.6, "")):
+        text = scene({"box": ""}, {"drum": f"circle: [0, 0], radius: {radius}, hollow: true"})
+        runner = Runner(interpret(read_text(text.replace(OUTLINES["box"], shape))))
+        if not words:
+            assert runner.run(until=0.01).trace.outcome is Outcome.HORIZON
+            continue
+        with pytest.raises(DeclarationError, match=words):
+            runner.run()
