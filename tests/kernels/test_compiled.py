@@ -105,9 +105,9 @@ def test_references_are_counted_when_arrays_are_created_or_returned(function, co
 
 
 @kernel
-def _halves(values: Array) -> tuple[Array, Array]:
+def _halves(values: Array) -> _Named:
     middle = values.shape[0] // 2
-    return values[:middle], values[middle:]
+    return _Named(values[:middle], values[middle:])
 
 
 @kernel
