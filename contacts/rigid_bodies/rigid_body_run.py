@@ -449,9 +449,8 @@ class RigidBodyRun(SteppedSystem):
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedSystem.steps`. A rejected step is split."""
-        if self._prescribed.controlled:
-            # Steps beyond a transition of a controller are reverted.
-            self._saved, self._before = self._warm.copy(), (self._added, self._moved)
+        # Steps beyond a jump are reverted.
+        self._saved, self._before = self._warm.copy(), (self._added, self._moved)
         self._prescribed.save()
         if self._gain_error is not None:
             raise self._gain_error

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
 from statechart.arrays import Array, Bools, Ints
+from statechart.errors import SimulationError
 from statechart.kernels.jit import kernel
 
 DONE, BAD_INERTIA, NOT_FINITE, FULL, COARSE = range(5)
@@ -117,6 +119,14 @@ class SteppedSystem(ABC):
     @abstractmethod
     def forget(self) -> None:
         """Revert the last steps."""
+
+    def next_steps(self, start: float, h: float, state: Array, count: int) -> Chunk | None:
+        """Return up to `count` steps, and revert them; None if none can be taken."""
+        steps = None
+        with suppress(SimulationError):  # The run may end before.
+            steps = self.steps(start, h, state, count)
+        self.forget()
+        return steps if steps is not None and len(steps.codes) else None
 
     @abstractmethod
     def switch(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -27,15 +26,19 @@ from contacts.dynamics.starting import check_closing
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
-from contacts.time_stepping.guard_truths import ActiveStates, StepTruths
+from contacts.time_stepping.guard_truths import (
+    ActiveStates,
+    StepEnd,
+    StepTruths,
+    reversed_warning,
+)
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.stop_conditions import StopConditions
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array, Bools
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Arc, Jump, Key
-from statechart.charts.guard_watch import EventQueues
-from statechart.errors import EventLoop, SimulationError, UnsolvedImpulses
+from statechart.charts.guard_watch import EventQueues, Firing
+from statechart.errors import EventLoop, UnsolvedImpulses
 
 _MAX_LISTED = 4  # Transitions listed in the error of an endless sequence.
 _MOST_TURNS = 100
@@ -63,7 +66,7 @@ class StepControl:
         states: Key,
     ) -> None:
         self._states, self._setup, self._scene = controllers, setup, scene
-        self._mechanics, self._n = mechanics, len(mechanics.q)
+        self._mechanics = mechanics
         self._queues = EventQueues(regions, controllers.flat)
         self._active = ActiveStates(regions)
         self.states = states
@@ -105,146 +108,64 @@ class StepControl:
         self._scene.forget()
         return self._scene.steps(start, chunk.h, chunk.states[0], 1 + end), True
 
-    def stick(self, chunk: Chunk, recorder: Recorder, h: float) -> None:
-        """Let contacts whose slip ends with the last step stick before controllers act."""
-        ends = recorder.slips_end(chunk)[-1]
-        if ends.any():
-            modes, _ = self._next_step(recorder, chunk.states[-1], chunk.solved[-1], h)
-            recorder.stick(np.where(ends, modes, recorder.row), chunk.states[-1])
-
-    def acts_by(self, last: Arc, jumps: Sequence[Jump], h: float, recorder: Recorder) -> bool:
+    def acts_by(self, time: float, last: Arc, jumps: Sequence[Jump], end: StepEnd) -> bool:
         """Return whether a controller acts by the end of an arc, not only at the end of the step.
 
         The step has these jumps.
         """
-        at, solved, time = np.array([last.duration]), last.solved, last.end.high
+        at, solved = np.array([last.duration]), last.solved
         assert solved is not None
-        [state] = last.states(at)
-        true = self._truths.true_at(time, state, solved[-1], h, recorder.row)
-        at_end = np.array([time]), state[None], solved[-1:], recorder.row[None]
+        true = self._truths.true_at(time, last.states(at)[0], solved[-1], end.h, end.codes)
         return bool(
             self._pending
             or self._chosen(true)
-            or any(jump.t <= time and self._waiting(jump, at_end) for jump in jumps)
+            or any(jump.t <= time and self._waiting(jump, end) for jump in jumps)
         )
 
-    def turn(
-        self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float,
-        stops: StopConditions,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """Take the transitions due at the end of a step; return state and unknowns after them.
-
-        The step has these jumps, and unknowns `solved` (u,). These are solved for anew only where
-        guards or stop conditions may read them.
+    def turn(self, recorder: Recorder, jumps: Sequence[Jump], end: StepEnd) -> StepEnd:
+        """Take the transitions due at the end of a step with these jumps; return it after them.
 
         Raises `EventLoop` if they do not end.
         """
         pending, self._pending, self.strikes = self._pending, {}, False
         struck = {name for jump in jumps for name in jump.impulse} & self._rigid
-        # A contact with restitution closes without an impact in its last bounce.
-        last_bounces = [
-            jump
-            for jump in jumps
-            if jump.region in self._bouncing
-            and not (jump.impulse or jump.target[self._bouncing[jump.region]] in OPEN)
-            and jump.source[self._bouncing[jump.region]] in OPEN
-        ]
-        time = np.array([recorder.clock.high])
-        self._warn_of_sticking(jumps, (time, state[None], solved[None], recorder.row[None]), h)
+        self._warn_of_sticking(jumps, end)
         for first, *others in _simultaneous(jumps):
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._queues.pending_after(pending, jump)
-        failed, known = set[tuple[int, int]](), solved
+        failed, held = set[tuple[int, int]](), None
         if not self._begun:
             self._begun = True
             # No guard was true before the start.
             failed = {(g.place, g.trigger) for g in self._states.guards(self.states).watch.guards}
-            state = self._states.enter_initial_states(
-                self._setup, recorder.clock, state, self.states
+            end.state = self._states.enter_initial_states(
+                self._setup, recorder.clock, end.state, self.states
             )
         for _ in range(_MOST_TURNS):
-            watch = self._states.guards(self.states).watch
-            at_end = time, state[None], known[None], recorder.row[None]
-            due, truths = self._truths.at(recorder.clock.high, state, known, h, recorder.row)
+            due, truths = self._truths.at(end, relay=True)
             hold = self._chosen(truths)
             # The transition of another region may have turned some true.
             self._became_true |= hold & failed
             true = self._chosen(due) | (hold & self._became_true)
+            held = hold & self._became_true if held is None else held
             firing = self._queues.first(
                 self.states,
                 pending,
                 self._states.opening_first(true, self.states),
-                partial(self._holding, *at_end),
+                partial(self._holding, end),
             )
             if firing is None:
-                for jump in last_bounces:
-                    self._warn_of(
-                        jump,
-                        f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step "
-                        f"of {h:g} and are left out, but {{}} waits for one; use a shorter step",
-                        at_end,
-                    )
-                for jump, (name, place) in product(jumps, self._couplings.items()):
-                    if jump.impulse and jump.source[place] == jump.target[place] == "locked":
-                        why = (
-                            f"{name}: the impact at t = {jump.t:.6g} may make it slip for less "
-                            f"than a step of {h:g}, and {{}} waits for that; use a shorter step"
-                        )
-                        for cause in ("slip", "lock"):
-                            event = _event(jump, name, cause)
-                            if self._waiting(event, at_end) and self._strikes_coupling(jump, place):
-                                self._warn_of(event, why, at_end)
-                return state, solved
-            name, taken = self._states.names[firing.place], firing.taken
-            fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
-            source = self.states[firing.place]
-            self._became_true = {one for one in self._became_true if one[0] != firing.place}
+                self._warn_of_left_out(jumps, end)
+                self._warn_of_turned((held & self._became_true) - hold, end)
+                return end
             failed = {one for one in self._chosen(~truths) if one[0] != firing.place}
-            self.states = (
-                *self.states[: firing.place],
-                taken.target,
-                *self.states[firing.place + 1 :],
-            )
-            self._truths = self._new_truths()
-            after = self._states.updated(
-                self._setup, recorder.clock, taken.name, taken.blocks, state
-            )
-            closing = ClosingImpact(after, {}, {}, {})
-            if name in self._states.joints and taken.target == CLOSED:
-                closing = self._closed(name, after, recorder, h, struck)
-                after = closing.state
-            switched, strikes = self._scene.switch(
-                self._states.named(self.states), (state, after, recorder.clock.high)
-            )
-            moved = closing.modes | switched
-            if resting := [i for i, code in closing.modes.items() if code in RESTS]:
-                # Forces decide the mode of a contact that the impact leaves without slip.
-                codes = self._next_step(recorder, after, solved, h)[0].tolist()
-                moved |= {i: codes[i] for i in resting if STATES[codes[i]] not in OPEN}
-            jump = recorder.turn(
-                name, taken.name, self.states, (state, after), fired, moved,
-                impulse=closing.impulse, joint_impulse=closing.joint_impulse,
-            )  # fmt: skip
-            if watch.of_state.isdisjoint(fired):
-                recorder.chatter.forget(name)
-            else:
-                recorder.chatter.change(name, source, taken.target, recorder.clock.high)
-            pending, state = self._queues.pending_after(firing.pending, jump), after
-            # Forces are those of these states. Where the acceleration turns, guards on their bounds
-            # wait for the next step: those of an ideal relay would never end at this instant.
-            if (
-                self._truths.read_unknowns(recorder.clock.high, state)
-                or stops.read_unknowns(recorder, state)
-                or (pending and self._listeners_read_unknowns(recorder.clock.high, state))
-            ):
-                last, (_, solved) = solved, self._next_step(recorder, state, solved, h)
-                known = solved.copy()
-                known[: self._n][last[: self._n] * solved[: self._n] < 0.0] = np.nan
-            if strikes:
-                self._pending, self.strikes = pending, True
-                self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
-                return state, solved
+            jump, end = self._take(firing, recorder, end, struck)
+            pending = self._queues.pending_after(firing.pending, jump)
+            if self.strikes:
+                self._pending = pending
+                self._truths.at(end)
+                return end
         listed = (
             f"{jump.cause} -> {' '.join(jump.target)}"
             for jump in recorder.control_jumps[-_MAX_LISTED:]
@@ -254,46 +175,90 @@ class StepControl:
             f"{', '.join(listed)}"
         )
 
-    def _listeners_read_unknowns(self, time: float, state: Array) -> bool:
-        """Return whether guards of transitions on events depend on accelerations or forces."""
-        guards = self._states.guards(self.states, at_events=True)
-        return bool(np.isnan(guards.atoms_at(self._setup, time, state)[:, 0]).any())
+    def _take(
+        self, firing: Firing, recorder: Recorder, end: StepEnd, struck: Collection[str]
+    ) -> tuple[Jump, StepEnd]:
+        """Take a transition; return its jump, and the instant after it."""
+        watch, place, taken = self._states.guards(self.states).watch, firing.place, firing.taken
+        name, source, state = self._states.names[place], self.states[place], end.state
+        fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
+        self._became_true = {one for one in self._became_true if one[0] != place}
+        self.states = (*self.states[:place], taken.target, *self.states[place + 1 :])
+        self._truths = self._new_truths()
+        after = self._states.updated(self._setup, recorder.clock, taken.name, taken.blocks, state)
+        closing = ClosingImpact(after, {}, {}, {})
+        if name in self._states.joints and taken.target == CLOSED:
+            closing = self._closed(name, after, recorder, end.h, struck)
+            after = closing.state
+        switched, self.strikes = self._scene.switch(
+            self._states.named(self.states), (state, after, recorder.clock.high)
+        )
+        moved = closing.modes | switched
+        then = end.after(after)
+        if resting := [i for i, code in closing.modes.items() if code in RESTS]:
+            # Forces decide the mode of a contact that the impact leaves without slip.
+            codes = (recorder.row if then.next_step is None else then.next_step.modes[0]).tolist()
+            moved |= {i: codes[i] for i in resting if STATES[codes[i]] not in OPEN}
+        jump = recorder.turn(
+            name, taken.name, self.states, (state, after), fired, moved,
+            impulse=closing.impulse, joint_impulse=closing.joint_impulse,
+        )  # fmt: skip
+        then.codes = recorder.row
+        if watch.of_state.isdisjoint(fired):
+            recorder.chatter.forget(name)
+        else:
+            recorder.chatter.change(name, source, taken.target, recorder.clock.high)
+        return jump, then
 
-    def _next_step(
-        self, recorder: Recorder, state: Array, solved: Array, h: float
-    ) -> tuple[Ints, Array]:
-        """Return modes (r,) and unknowns of the next step, as `solved`; NaN if it cannot be taken.
+    def _warn_of_turned(self, guards: Collection[tuple[int, int]], end: StepEnd) -> None:
+        """Warn of guards that became true in the last step, and that transitions made false."""
+        for guard in self._states.guards(self.states).watch.guards:
+            if (guard.place, guard.trigger) in guards:
+                self._left_out.setdefault(guard.name, reversed_warning(guard.name, end.time, end.h))
 
-        The step is reverted.
-        """
-        modes, solved = recorder.row, np.full_like(solved, np.nan)
-        with suppress(SimulationError):  # The run may end before this step.
-            step = self._scene.steps(recorder.clock.high, h, state, 1)
-            if len(step.codes):
-                modes, solved = step.modes[0], step.solved[0]
-        self._scene.forget()
-        return modes, solved
+    def _warn_of_left_out(self, jumps: Sequence[Jump], end: StepEnd) -> None:
+        """Warn if transitions wait for events of these jumps that steps leave out."""
+        for jump in jumps:
+            place = self._bouncing.get(jump.region)
+            if place is None or jump.impulse or jump.target[place] in OPEN:
+                continue
+            # A contact with restitution closes without an impact in its last bounce.
+            if jump.source[place] in OPEN:
+                self._warn_of(
+                    jump,
+                    f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step of "
+                    f"{end.h:g} and are left out, but {{}} waits for one; use a shorter step",
+                    end,
+                )
+        for jump, (name, place) in product(jumps, self._couplings.items()):
+            if jump.impulse and jump.source[place] == jump.target[place] == "locked":
+                why = (
+                    f"{name}: the impact at t = {jump.t:.6g} may make it slip for less "
+                    f"than a step of {end.h:g}, and {{}} waits for that; use a shorter step"
+                )
+                for cause in ("slip", "lock"):
+                    event = _event(jump, name, cause)
+                    if self._waiting(event, end) and self._strikes_coupling(jump, place):
+                        self._warn_of(event, why, end)
 
-    def due_at_start(
-        self, state: Array, solved: Array, codes: Ints, h: float
-    ) -> set[tuple[int, int]]:
-        """Return the guards due at the start, by region and trigger, in modes `codes` (r,)."""
-        state = self._states.enter_initial_states(self._setup, Clock(), state, self.states)
-        return self._chosen(self._truths.at(0.0, state, solved, h, codes)[0])
+    def due_at_start(self, end: StepEnd) -> set[tuple[int, int]]:
+        """Return the guards due at the start, by region and trigger."""
+        end.state = self._states.enter_initial_states(self._setup, Clock(), end.state, self.states)
+        return self._chosen(self._truths.at(end)[0])
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of events that controllers wait for and steps leave out, or add."""
         return tuple(self._left_out.values())
 
-    def _warn_of(self, jump: Jump, why: str, at_end: tuple[Array, Array, Array, Ints]) -> None:
+    def _warn_of(self, jump: Jump, why: str, end: StepEnd) -> None:
         """Warn if a transition waits for the event of a jump; `why` has a place for its name."""
-        if name := self._waiting(jump, at_end):
+        if name := self._waiting(jump, end):
             self._left_out.setdefault(name, why.format(name))
 
-    def _waiting(self, jump: Jump, at_end: tuple[Array, Array, Array, Ints]) -> str:
+    def _waiting(self, jump: Jump, end: StepEnd) -> str:
         """Return the name of the transition that waits for the event of a jump, if any."""
-        pending, holding = self._queues.pending_after({}, jump), partial(self._holding, *at_end)
+        pending, holding = self._queues.pending_after({}, jump), partial(self._holding, end)
         firing = self._queues.first(self.states, pending, (), holding)
         return "" if firing is None else f"{self._states.names[firing.place]}.{firing.taken.name}"
 
@@ -311,9 +276,7 @@ class StepControl:
             self._tapes[states] = SnapshotTape(self._mechanics, self._states.named(states))
         return self._tapes[states]
 
-    def _warn_of_sticking(
-        self, jumps: Sequence[Jump], at_end: tuple[Array, Array, Array, Ints], h: float
-    ) -> None:
+    def _warn_of_sticking(self, jumps: Sequence[Jump], end: StepEnd) -> None:
         """Warn if a transition takes the end of a slip for which steps between bounces stand."""
         for jump in jumps:
             for name, i in self._bouncing.items():
@@ -323,13 +286,13 @@ class StepControl:
             if jump.cause != "stick" or name not in self._closed_at:
                 continue
             law = self._setup.contacts[self._bouncing[name]]
-            if jump.t - self._closed_at[name] <= _bounces_end(law.restitution) * h:
+            if jump.t - self._closed_at[name] <= _bounces_end(law.restitution) * end.h:
                 self._warn_of(
                     _event(jump, name, "stick"),
                     f"{name} sticks at t = {jump.t:.6g}, just after bounces that are shorter than "
-                    f"a step of {h:g}: at their end it may be pinned at once, without the event "
-                    f"that {{}} waits for; wait for {name}.pin",
-                    at_end,
+                    f"a step of {end.h:g}: at their end it may be pinned at once, without the "
+                    f"event that {{}} waits for; wait for {name}.pin",
+                    end,
                 )
 
     def _closed(
@@ -412,13 +375,14 @@ class StepControl:
         guards = self._states.guards(self.states).watch.guards
         return {(g.place, g.trigger) for g, now in zip(guards, which, strict=True) if now}
 
-    def _holding(
-        self, times: Array, states: Array, solved: Array, codes: Ints
-    ) -> set[tuple[int, int]]:
+    def _holding(self, end: StepEnd) -> set[tuple[int, int]]:
         """Return the event guards that hold at the end of a step."""
         guards = self._states.guards(self.states, at_events=True)
-        rows = guards.table(self._setup, times, states, solved[:, self._truths.order])[0]
-        active = self._active.at(codes, self.states)
+        rows = guards.atoms_at(self._setup, end.time, end.state)
+        if np.isnan(rows[:, 0]).any():
+            solved = end.settled[self._truths.order]
+            rows = guards.atoms_at(self._setup, end.time, end.state, solved)
+        active = self._active.at(end.codes[None], self.states)
         return guards.watch.holding(rows, self._setup.rounded, lambda *of: bool(active(*of)[0]))
 
 

@@ -6,14 +6,18 @@ on its boundary for a step, as the slip of a sticking contact does, is zero up t
 and `>=` hold, `<` and `>` do not.
 
 Within a step margins are interpolated, by cubics (Hermite), or linearly in steps with impacts and
-where a rate is unknown: a warning names a guard that is true there, at neither end. An impact may
-leave a margin beyond the bound at which the motion turns it back, by the depth of the landing: such
-an atom is true if it is so at both ends. Those that it changes are as at one end or the other.
+where a rate is unknown: a warning names a guard that is true there, at neither end. An impact, or a
+transition at the end of a step, may leave a margin beyond the bound at which it turns it back, by
+the order of the step: such an atom is false while it rises, and one that falls to its bound where
+an open contact touches waits for the impact. Those that an impact changes are as at one end or the
+other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from typing import NamedTuple
 
@@ -22,14 +26,88 @@ import numpy as np
 from contacts.dynamics.controllers import ControlGuards
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.states import STATES
-from contacts.time_stepping.chunk import Chunk
+from contacts.states import FREE, STATES
+from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Key
 
-# Part of a step within which a guard counts as true at its end: times are rounded.
-_AT_END = 1e-6
+AT_END = 1e-6
+"""Part of a step within which a guard counts as true at its end: times are rounded."""
+
+# Part of a step within which a margin falls to its bound as a contact touches, found from the gaps
+# before; and part of the fall in a step that counts as zero at the touch.
+_AT_TOUCH, _TOUCHED = 0.1, 0.01
+# Steps after an impact within which forces are known.
+_LANDING = 8
+
+
+@dataclass(eq=False)
+class StepEnd:
+    """An instant between steps: the start, or the end of a step, also after transitions there.
+
+    `size` is the number of coordinates, `codes` (r,) are the modes, `last` the steps before. The
+    unknowns `own` (u,) are those of the state if it is `fresh`; after jumps (`turned`: transitions)
+    the next step is solved for them when they are read.
+    """
+
+    system: SteppedSystem
+    size: int
+    time: float
+    h: float
+    state: Array
+    codes: Ints
+    own: Array
+    last: Chunk | None
+    fresh: bool = True
+    turned: bool = False
+
+    def after(self, state: Array) -> StepEnd:
+        """Return this instant after a transition to a state."""
+        own = self.__dict__.get("solved", self.own)
+        return replace(self, state=state, own=own, fresh=False, turned=True)
+
+    @cached_property
+    def next_step(self) -> Chunk | None:
+        """The next step, reverted; None if it cannot be taken."""
+        return self.system.next_steps(self.time, self.h, self.state, 1)
+
+    @cached_property
+    def solved(self) -> Array:
+        """Unknowns (u,) of the state, NaN where they are not known."""
+        if self.fresh:
+            return self.own
+        step = self.next_step
+        return np.full_like(self.own, np.nan) if step is None else step.solved[0]
+
+    @cached_property
+    def relayed(self) -> Array:
+        """`solved` without accelerations that transitions have turned.
+
+        Guards on their bounds wait for the next step: those of an ideal relay would never end.
+        """
+        known, n = self.solved.copy(), self.size
+        if self.turned:
+            known[:n][self.own[:n] * known[:n] < 0.0] = np.nan
+        return known
+
+    @cached_property
+    def settled(self) -> Array:
+        """`relayed`, after an impact with the forces of the first step that knows them."""
+        known, unknown = self.relayed.copy(), np.isnan(self.solved)
+        if unknown.any():
+            steps = self.system.next_steps(self.time, self.h, self.state, _LANDING)
+            for row in () if steps is None else steps.solved:
+                known[unknown] = np.where(np.isnan(known), row, known)[unknown]
+        return known
+
+
+def reversed_warning(name: str, time: float, h: float) -> str:
+    """Return the warning of a guard that another event of the same step reverses."""
+    return (
+        f"{name} becomes true within the step of {h:g} to t = {time:.6g}, where another event "
+        "reverses it, and does not fire; a shorter step shows if it does before"
+    )
 
 
 class ActiveStates:
@@ -92,6 +170,9 @@ class StepTruths:
         # Atoms at the end of the last step, and those at zero there and a step before.
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
         self._start = np.full((1, count), np.nan)
+        self._gaps = np.full(1, np.nan)  # At the last midpoint.
+        # Atoms that impacts or transitions have turned back, while they rise.
+        self._back = np.zeros((1, count), np.bool_)
         # In the last steps that do not know forces: atoms on these, other atoms that were true, and
         # guards that were true but for the first.
         self._forced, self._known = np.zeros((2, count), np.bool_)
@@ -110,30 +191,58 @@ class StepTruths:
         """Return `ActiveStates.at` in the present states of controllers."""
         return self._regions.at(codes, self._states)
 
-    def at(
-        self, time: float, state: Array, solved: Array, h: float, codes: Ints
-    ) -> tuple[Bools, Bools]:
+    def at(self, end: StepEnd, *, relay: bool = False) -> tuple[Bools, Bools]:
         """Return the guards (g,) that are due at an instant, and those that are true.
 
-        Atoms that become false within a step make no guard due.
+        Atoms that become false within a step make no guard due. Forces are solved for only where
+        guards may read them; `relay`: see `StepEnd.relayed`.
         """
-        ends = self._ends(np.array([time]), state[None], solved[None], h, self._zero[:1])
-        self._last, self._start, self._zero[1:] = ends.true, ends.margins, ends.near
+        solved = end.own
+        if not end.fresh and self._read_unknowns(end):
+            solved = end.relayed if relay else end.solved
+        ends = self._ends(
+            np.array([end.time]), end.state[None], solved[None], end.h, self._zero[:1]
+        )
+        back = ends.true & self._back
+        if end.turned and ends.true.any():
+            back |= ends.true & self._falls(end)
+        if back.any():
+            # Also of accelerations that have turned.
+            rates = self.table(np.array([end.time]), end.state[None], end.solved[None], 1)[..., 0]
+            back &= end.h * rates > ends.zero
+        true = ends.true & ~back
+        self._last, self._start, self._zero[1:] = true, ends.margins, ends.near
+        self._back = back
+        if end.last is not None:
+            self._gaps = end.last.gaps[-1]
         unknown = np.isnan(ends.margins)
-        rows = np.vstack([ends.due, ends.true, ends.true | unknown])
-        due, true, possible = self._guards(rows, np.tile(codes, (3, 1)))
-        self._hidden |= possible & ~true
+        rows = np.vstack([ends.due & ~back, true, true | unknown])
+        due, true_now, possible = self._guards(rows, np.tile(end.codes, (3, 1)))
+        self._hidden |= possible & ~true_now
         self._forced |= unknown[0]
-        self._known |= ends.true[0] & unknown.any()
-        return due, true
+        self._known |= true[0] & unknown.any()
+        return due, true_now
 
-    def read_unknowns(self, time: float, state: Array) -> bool:
+    def _read_unknowns(self, end: StepEnd) -> bool:
         """Return whether accelerations or forces may decide a guard at an instant.
 
         They do so where a margin depends on them, or is not above zero: their rates do.
         """
-        margins, sizes = self._controlled.atoms_at(self._setup, time, state).T
+        margins, sizes = self._controlled.atoms_at(self._setup, end.time, end.state).T
         return not bool(np.all(margins > self._setup.rounded * sizes))
+
+    def _falls(self, end: StepEnd) -> Bools:
+        """Return the atoms (1, a) that became true in the step before transitions, by falling."""
+        last = end.last
+        if last is None:
+            return np.zeros_like(self._back)
+        struck = bool(last.struck[-1].any())
+        steps = min(1 + int(struck), len(last.codes))
+        times = end.time - last.h * np.array([steps, 0])
+        states, solved = last.states[[-1 - steps, -1]], np.tile(last.solved[-1], (2, 1))
+        (first, now), (_, rate) = (self.table(times, states, solved, o)[..., 0] for o in (0, 1))
+        falls: Bools = (first >= 0.0) & (now < 0.0) & ((rate < 0.0) | struck)
+        return falls[None]
 
     def true_at(self, time: float, state: Array, solved: Array, h: float, codes: Ints) -> Bools:
         """Return the guards (g,) that are true at an instant of the steps that `take` had last."""
@@ -149,24 +258,74 @@ class StepTruths:
         ends = self._ends(
             chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, self._zero[1:]
         )
-        self._at, self._codes, self._all = ends, codes[1:], np.vstack([self._last, ends.true])
-        self._turned, self._jumped = np.zeros((2, *ends.true.shape), np.bool_)
+        self._at, self._codes = ends, codes[1:]
+        self._turned, self._jumped, self._dips = np.zeros((3, *ends.true.shape), np.bool_)
+        # Steps with impacts -> the part of the step at which contacts touch, and the margins then.
+        self._touched = dict[int, tuple[float, Array]]()
+        self._backs = np.zeros_like(self._turned)
+        waits = self._wait_for_impacts(chunk)
         if chunk.struck.any():
-            hit = np.flatnonzero(chunk.struck.any(axis=1))
-            sides, delay = chunk.states[[hit, hit + 1]], 0.5 * chunk.h + chunk.impact_delay[hit]
-            sides[:, :, : self._n] = sides[0, :, : self._n]
-            sides[:, :, : self._n] += delay[:, None] * sides[0, :, self._n : 2 * self._n]
-            at = np.tile(start + hit * chunk.h + delay, 2), np.vstack([*sides])
-            solved = np.tile(chunk.solved[hit], (2, 1))
-            (left, right), (fall, rise) = (
-                np.split(self.table(*at, solved, order)[..., 0], 2) for order in (0, 1)
-            )
-            self._turned[hit] = (fall < 0.0) & (rise > 0.0)
-            self._jumped[hit] = (left < 0.0) != (right < 0.0)
-        true = self._guards(self._all, codes)
-        lasting = ends.true & (self._all[:-1] | ~self._turned)
-        begins = self._guards(lasting, self._codes) & ~true[:-1]
-        return self._guards(ends.due, self._codes), begins
+            self._strike(chunk, start)
+        self._all = np.vstack([self._last, ends.true & ~waits])
+        hit = np.flatnonzero(self._turned.any(axis=1)).tolist() if self._touched else []
+        back, done = self._back[0], 0
+        for first in [0, *hit] if back.any() else hit:
+            for k in range(max(first, done), len(ends.true)):
+                back = (back | (self._turned[k] & ~self._all[k])) & self._all[k + 1]
+                back &= chunk.h * ends.rates[k] > ends.zero[k]
+                done = k + 1
+                if not back.any():
+                    break
+                self._backs[k] = back
+                self._all[k + 1] &= ~back
+        was = self._guards(self._all, codes)
+        due = self._guards(ends.due & self._all[1:], self._codes)
+        return due, was[1:] & ~was[:-1]
+
+    def _wait_for_impacts(self, chunk: Chunk) -> Bools:
+        """Return the atoms (m, a) that fall to their bound in a step as an open contact touches.
+
+        It is struck in the next step: in this one the midpoint comes before.
+        """
+        margins = np.vstack([self._start, self._at.margins])
+        falls: Bools = (margins[:-1] >= 0.0) & (margins[1:] < 0.0)
+        if falls.any():
+            touch = self._touches(chunk)
+            touches = (touch > 0.5) & (touch < 1.0) & (chunk.modes == FREE) & ~chunk.struck
+            first = np.where(touches, touch, np.inf).min(axis=1, initial=np.inf)[:, None]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                crossed = margins[:-1] / (margins[:-1] - margins[1:])
+            falls &= crossed > first - _AT_TOUCH
+        return falls
+
+    def _touches(self, chunk: Chunk) -> Array:
+        """Return where gaps (m, r) become zero, in steps from the start of each step."""
+        gaps = np.vstack([np.broadcast_to(self._gaps, chunk.gaps[:1].shape), chunk.gaps])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            touches: Array = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
+        return touches
+
+    def _strike(self, chunk: Chunk, start: float) -> None:
+        """Find the atoms that impacts turn back, those that they change, and those true before."""
+        hit = np.flatnonzero(chunk.struck.any(axis=1))
+        sides, h = chunk.states[[hit, hit, hit + 1]], chunk.h
+        delay = np.tile(0.5 * h + chunk.impact_delay[hit], (3, 1))
+        touch = h * self._touches(chunk)[hit]
+        touch = np.where(chunk.struck[hit] & np.isfinite(touch), touch, np.inf).min(axis=1)
+        delay[0] = np.where(np.isfinite(touch), touch, delay[0])
+        sides[:, :, : self._n] = sides[1, :, : self._n]
+        sides[:, :, : self._n] += delay[..., None] * sides[1, :, self._n : 2 * self._n]
+        at = (start + hit * h + delay).ravel(), np.vstack([*sides])
+        solved = np.tile(chunk.solved[hit], (3, 1))
+        (touched, left, right), (_, fall, rise) = (
+            np.split(self.table(*at, solved, order)[..., 0], 3) for order in (0, 1)
+        )
+        turned = (fall < 0.0) & (rise > 0.0)
+        known = np.isfinite(touch)[:, None]
+        self._dips[hit] = turned & known & (touched < _TOUCHED * h * fall)
+        self._turned[hit] = turned & ~self._dips[hit]
+        self._jumped[hit] = (left < 0.0) != (right < 0.0)
+        self._touched = dict(zip(hit.tolist(), zip(touch / h, touched, strict=True), strict=True))
 
     def undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name.
@@ -189,8 +348,8 @@ class StepTruths:
     def accept(self, chunk: Chunk, start: float, end: float) -> dict[str, str]:
         """Continue after these steps, the first of those that `take` had last.
 
-        Returns guard -> warning that it is true within a step only, until the run is at `end`, or
-        before steps know its forces.
+        Returns guard -> warning that it is true within a step only, until the run is at `end`,
+        before steps know its forces, or until an impact reverses it.
         """
         count, found = len(chunk.codes), dict[str, str]()
         if not count:
@@ -205,6 +364,11 @@ class StepTruths:
                     "shorter step, or for a single instant one comparison by <= or >=",
                 )
         atoms, codes = self._all[1 : count + 1], self._codes[:count]
+        if self._backs[:count].any():
+            back = self._guards(atoms | self._backs[:count], codes) & ~self._guards(atoms, codes)
+            for k, i in np.argwhere(back).tolist():
+                name, time = self._watch.guards[i].name, start + (k + 1) * chunk.h
+                found.setdefault(name, reversed_warning(name, time, chunk.h))
         unknown = np.isnan(self._at.margins[:count])
         if unknown.any() or self._hidden.any():
             true = self._guards(atoms, codes)
@@ -228,6 +392,7 @@ class StepTruths:
                     self._hidden[:] = self._forced[:] = self._known[:] = False
         self._zero = np.vstack([self._zero[1:], self._at.near[:count]])[-2:]
         self._last, self._start = atoms[-1:], self._at.margins[count - 1 : count]
+        self._back, self._gaps = self._backs[count - 1 : count], chunk.gaps[-1]
         return found
 
     def _ends(self, times: Array, states: Array, solved: Array, h: float, zero: Bools) -> _Ends:
@@ -236,7 +401,7 @@ class StepTruths:
         rate = self.table(times, states, solved, 1)[..., 0]
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
-        true: Bools = margin + _AT_END * h * falling < 0.0
+        true: Bools = margin + AT_END * h * falling < 0.0
         # A margin that has just come to zero was braked, and need not cross: a strict guard waits
         # until it leaves zero. Times do cross, constants do not.
         least = self._setup.rounded * size
@@ -266,6 +431,8 @@ class StepTruths:
         with np.errstate(divide="ignore", invalid="ignore"):
             deep = last - 0.25 * change**2 / bend < -ends.zero[:count]
         dips = deep & (change > 0.0) & (change < 2.0 * bend) & ~(before | after | turned)
+        if self._touched:
+            dips |= self._dips[:count] & ~(before | after)
         return (crossed.sum(axis=1) > 1) | dips.any(axis=1)
 
     def _within(self, chunk: Chunk, start: float, k: int, end: float) -> Bools:
@@ -277,12 +444,20 @@ class StepTruths:
         c, d = (np.where(straight, b - a, h * rate) for rate in (c, d))
         cubics = np.array([2.0 * (a - b) + c + d, 3.0 * (b - a) - 2.0 * c - d, c, a])
         roots = [np.roots(cubic) for cubic in cubics.T if np.isfinite(cubic).all()]
+        # A margin that dips falls until the contacts touch, and rises then.
+        touch, least = self._touched.get(k, (1.0, b))
+        touch = min(max(touch, AT_END), 1.0 - AT_END)
+        dips = np.flatnonzero(self._dips[k] & (a >= 0.0) & (b >= 0.0))
+        roots.append(touch * a[dips] / (a - least)[dips])
+        roots.append(1.0 - (1.0 - touch) * b[dips] / (b - least)[dips])
         real = np.array([x.real for x in chain(*roots) if x.imag == 0.0])
-        crossings = real[(real > _AT_END) & (real < 1.0 - _AT_END)]
+        crossings = real[(real > AT_END) & (real < 1.0 - AT_END)]
         shares = np.sort(np.append(crossings, [0.0, 1.0]))
         shares = np.hstack([crossings, 1.0, 0.5 * (shares[:-1] + shares[1:])])
-        shares = shares[times[0] + shares * h <= end + _AT_END * h]
+        shares = shares[times[0] + shares * h <= end + AT_END * h]
         at = np.array([np.polyval(cubics, share) for share in shares]).reshape(-1, len(a))
+        for i in dips.tolist():
+            at[:, i] = np.interp(shares, [0.0, touch, 1.0], [a[i], least[i], b[i]])
         first, last = self._all[k : k + 2]
         # Atoms that cross zero at the same instant may hold there alone.
         on_zero = np.where(first != last, self._watch.closed, last)

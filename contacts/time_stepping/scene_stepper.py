@@ -46,6 +46,7 @@ from contacts.states import (
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import HOLDING, LANDED, ContactHistory, StepConstants
+from contacts.time_stepping.guard_truths import StepEnd
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
@@ -646,9 +647,9 @@ class SceneStepper(Stepper):
             control = self.control(start)
             if control is None or start.failure is not None:
                 return frozenset()
-            return control.due_at_start(
-                setup.initial, start.solved, start.codes, _trial_step(setup)
-            )
+            h, size = _trial_step(setup), len(self._mechanics.q)
+            begin = setup.initial, start.codes, start.solved, None
+            return control.due_at_start(StepEnd(start.system, size, 0.0, h, *begin))
 
         return self._tapes.settle_start(begin, due_in)
 

@@ -45,6 +45,7 @@ from contacts.scene.lint import replaced_laws
 from contacts.states import STATES
 from contacts.time_stepping.chunk import WORK, Chunk, SteppedSystem
 from contacts.time_stepping.control import StepControl
+from contacts.time_stepping.guard_truths import AT_END, StepEnd
 from contacts.time_stepping.lazy_arcs import TERMS
 from contacts.time_stepping.recorder import PoseRecorder, Recorder
 from contacts.time_stepping.solver_residual import SolverResidual
@@ -170,13 +171,14 @@ class SteppedRun:
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
-        solved, control = self._inputs.solved, self.control
+        control, at = self.control, self._instant(step, self._inputs.solved, None)
+        # Bodies with shapes do not know forces at the start.
+        at.fresh = not bool(np.isnan(at.own).any())
         if control is not None:
-            self.state, solved = control.turn(
-                self.recorder, (), self.state, solved, step, self.stops
-            )
+            at = control.turn(self.recorder, (), at)
+            self.state = at.state
         # As with events, a run of no duration reaches its end time.
-        met = self._met_after_controllers(solved, step) if until else None
+        met = self._met_after_jumps(at) if until else None
         if met is not None:
             self._stop(met)
             return
@@ -208,6 +210,9 @@ class SteppedRun:
                 if control is not None:
                     chunk, due = control.cut(chunk, begin, self.recorder)
                 work = float(chunk.stats[:, WORK].sum())
+                steps = len(chunk.codes)
+                chunk = self._until_stop(chunk, begin)
+                due = due and len(chunk.codes) == steps
                 if due:
                     # Steps beyond a transition are reverted, and the next may be as far off.
                     most = max(1, len(chunk.codes))
@@ -228,36 +233,16 @@ class SteppedRun:
 
         At their end contacts act first, then controllers, which may be `due`, then stop conditions.
         """
-        failure: SimulationError | None = None
         control, recorder, steps = self.control, self.recorder, len(chunk.codes)
         jumps = recorder.count
-        rejection = without_limit(chunk, start, self.stepper.couplings)
-        if rejection is not None:
-            failure = rejection.why
-            chunk = chunk.first(rejection.step)
-        rejection = self._rejected(chunk, start)
-        if rejection is not None:
-            failure = rejection.why
-            chunk = chunk.first(rejection.step)
-        failed = self.solver_residual.beyond(chunk) or self._squeeze.find(
-            chunk, start, self.fastest, self.system.depth_left
-        )
-        if failed is not None:
-            failure = failed[1]
-            chunk = chunk.first(failed[0])
-        self.stops.take(chunk, start, recorder)
-        lost = self.stops.first_undefined(chunk)
-        if lost is None and control is not None:
-            lost = control.first_undefined(chunk)
-        if lost is not None:
-            failure = NonFinite(
-                f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
-            )
-            chunk = chunk.first(lost[0])
+        chunk, failure = self._admissible(chunk, start)
         stopped = self.stops.first_met(chunk)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
+        ends = np.zeros(len(recorder.row), np.bool_)
         if len(chunk.codes):
+            if due or stopped is not None:
+                ends = recorder.slips_end(chunk)[-1]
             self._hand_on()
             if self._poses is not None:
                 self._poses.add(
@@ -270,30 +255,32 @@ class SteppedRun:
         self.state = chunk.states[-1]
         self.time = start + len(chunk.codes) * chunk.h
         self.request.show(self.time, recorder.count, self.taken)
-        turns = control is not None and len(chunk.codes) == steps and failure is None
-        met, last, end = None, None, self.time
+        met, last, end, waits = None, None, self.time, True
+        whole, transitions = len(chunk.codes) == steps and failure is None, 0
+        solved = chunk.solved[-1] if len(chunk.codes) else self._inputs.solved
+        at = self._instant(h, solved, chunk)
         if stopped is not None:
             met, last = stopped[1], self.stops.locate(recorder, stopped[1])
+            end = last[0].end.high
+            # Contacts that stick at the end of the step precede a stop there, not one before.
+            waits = whole and end >= self.time - AT_END * h
+        stuck = whole and waits and self._stick(ends, at)
+        turns = whole and control is not None
+        if last is not None and turns:
             fresh = recorder.since(jumps)
-            turns = (
-                turns
-                and due
-                and control is not None
-                and control.acts_by(last[0], fresh, h, recorder)
-            )
-            end = end if turns else last[0].end.high
+            turns = due and control is not None and control.acts_by(end, last[0], fresh, at)
+        if stuck or turns:
+            end = self.time
         self.stops.accept(chunk, start, end)
         if control is not None:
             control.accept(chunk, start, end)
         if turns and control is not None:
-            if due:
-                control.stick(chunk, recorder, h)
+            stuck = stuck or self._stick(ends, at)
             transitions, fresh = len(recorder.control_jumps), recorder.since(jumps)
-            self.state, solved = control.turn(
-                recorder, fresh, self.state, chunk.solved[-1], h, self.stops
-            )
-            if len(recorder.control_jumps) > transitions:
-                met, last = self._met_after_controllers(solved, h), None
+            at = control.turn(recorder, fresh, at)
+            self.state, transitions = at.state, len(recorder.control_jumps) - transitions
+        if stuck or transitions:
+            met, last = self._met_after_jumps(at), None
         if met is not None:
             if last is not None:
                 self.state = recorder.rewind(last[0], earlier=last[1])
@@ -315,11 +302,65 @@ class SteppedRun:
         self._check_pace()
         return False
 
-    def _met_after_controllers(self, solved: Array, h: float) -> int | None:
+    def _admissible(self, chunk: Chunk, start: float) -> tuple[Chunk, SimulationError | None]:
+        """Return the steps before the first one that ends the run as a failure, and that."""
+        failure: SimulationError | None = None
+        rejection = without_limit(chunk, start, self.stepper.couplings)
+        if rejection is not None:
+            failure = rejection.why
+            chunk = chunk.first(rejection.step)
+        rejection = self._rejected(chunk, start)
+        if rejection is not None:
+            failure = rejection.why
+            chunk = chunk.first(rejection.step)
+        failed = self.solver_residual.beyond(chunk) or self._squeeze.find(
+            chunk, start, self.fastest, self.system.depth_left
+        )
+        if failed is not None:
+            failure = failed[1]
+            chunk = chunk.first(failed[0])
+        lost = self.stops.first_undefined(chunk)
+        if lost is None and self.control is not None:
+            lost = self.control.first_undefined(chunk)
+        if lost is not None:
+            failure = NonFinite(
+                f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
+            )
+            chunk = chunk.first(lost[0])
+        return chunk, failure
+
+    def _instant(self, h: float, solved: Array, last: Chunk | None) -> StepEnd:
+        """Return the end of the recorded steps, whose last ones are `last`."""
+        recorder, coordinates = self.recorder, len(self.stepper.angles)
+        time, row = recorder.clock.high, recorder.row
+        return StepEnd(self.system, coordinates, time, h, self.state, row, solved, last)
+
+    def _until_stop(self, chunk: Chunk, start: float) -> Chunk:
+        """Judge the stop conditions; return the steps until a contact sticks where one is met."""
+        self.stops.take(chunk, start, self.recorder)
+        met = self.stops.first_met(chunk)
+        if met is None or not self.recorder.slips_end(chunk)[met[0]].any():
+            return chunk
+        if met[0] + 1 < len(chunk.codes):
+            self.system.forget()
+            chunk = self.system.steps(start, chunk.h, chunk.states[0], met[0] + 1)
+        return chunk
+
+    def _stick(self, ends: Bools, at: StepEnd) -> bool:
+        """Let contacts stick whose slip `ends` (r,) with the last step; return whether any does."""
+        step = at.next_step if ends.any() else None
+        if step is None:
+            return False
+        self.recorder.stick(np.where(ends, step.modes[0], at.codes), at.state)
+        sticks = self.recorder.row is not at.codes
+        at.codes, at.fresh = self.recorder.row, not sticks
+        return sticks
+
+    def _met_after_jumps(self, at: StepEnd) -> int | None:
         """Return the stop condition that is met in the present state; a struck surface is first."""
         if self.control is not None and self.control.strikes:
             return None
-        return self.stops.after_controllers(self.recorder, self.state, solved, h)
+        return self.stops.after_jumps(self.recorder, at)
 
     def _hand_on(self, *, ended: bool = False) -> None:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""

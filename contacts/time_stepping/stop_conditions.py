@@ -11,10 +11,14 @@ from contacts.dynamics.controllers import ControlGuards, Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.guard_truths import ActiveStates, StepTruths
+from contacts.time_stepping.guard_truths import (
+    ActiveStates,
+    StepEnd,
+    StepTruths,
+    reversed_warning,
+)
 from contacts.time_stepping.lazy_arcs import cut
 from contacts.time_stepping.recorder import Recorder
-from statechart.arrays import Array
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Arc, Key
 from statechart.charts.guard_watch import Guard
@@ -66,32 +70,19 @@ class StopConditions:
         """Warnings of conditions that steps pass over."""
         return tuple(self._spans.values())
 
-    def read_unknowns(self, recorder: Recorder, state: Array) -> bool:
-        """Return whether accelerations or forces may decide a condition after transitions."""
-        if not self._guards.names:
-            return False
-        self._truths.enter(self._guards.within(recorder.controls), recorder.controls)
-        return self._truths.read_unknowns(recorder.clock.high, state)
+    def after_jumps(self, recorder: Recorder, end: StepEnd) -> int | None:
+        """Return the condition that is met at the start, or after jumps at the end of a step.
 
-    def after_controllers(
-        self, recorder: Recorder, state: Array, solved: Array, h: float
-    ) -> int | None:
-        """Return the condition that is met at the start, or after transitions, if any.
-
-        The step before them is the last accepted one.
+        That step is the last accepted one.
         """
         if not self._guards.names:
             return None
         self._truths.enter(self._guards.within(recorder.controls), recorder.controls)
-        due, true = self._truths.at(recorder.clock.high, state, solved, h, recorder.row)
+        due, true = self._truths.at(end)
         met = due | (true & self._passing[-1])
         for k in np.flatnonzero(self._met[-1] & ~met).tolist():
             name = self._guards.names[k]
-            self._spans.setdefault(
-                name,
-                f"{name} is true at t = {recorder.clock.high:.6g}, where a transition of a "
-                "controller turns it back: the run goes on",
-            )
+            self._spans.setdefault(name, reversed_warning(name, end.time, end.h))
         return int(np.argmax(met)) if met.any() else None
 
     def take(self, chunk: Chunk, start: float, recorder: Recorder) -> None:
@@ -131,7 +122,9 @@ class StopConditions:
         margin = partial(self._margin, condition, len(recorder.row))
         begin = float(arc.times[-2])
         met = len(arc.times) == 2 and margin(arc, begin) < 0.0
-        earlier = bool(met and before and margin(before[0], before[0].duration) < 0.0)
+        # An arc may also end where only the parameters change.
+        earlier = met and before and before[0].j < arc.j
+        earlier = bool(earlier and margin(before[0], before[0].duration) < 0.0)
         if earlier:
             [arc] = before
             begin = float(arc.times[-2])

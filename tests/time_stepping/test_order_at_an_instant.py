@@ -205,11 +205,11 @@ def test_a_listener_to_a_transition_knows_the_forces_of_the_state_entered(
 
 @pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
 @pytest.mark.parametrize("speed", [1.0, 1.0003])
-@pytest.mark.parametrize(("back", "end"), [(20, None), (5, 1.0)])
+@pytest.mark.parametrize(("back", "end"), [(20, None), (10.2, None), (5, 1.0)])
 def test_a_stop_that_a_transition_turns_back_gives_a_warning(
     back: float, end: float | None, speed: float, step: float | None
 ) -> None:
-    """The rate falls as 10 t until 0.5, and rises again if the controller pushes with 20."""
+    """The rate falls as 10 t until 0.5, and rises again if the controller pushes with more."""
     body = "bodies: {b: {mass: 1, START}}\n".replace("START", f"start: {{dy: {5 * speed}}}")
     push = "controls: {F: 0}\nforces: {f: {body: b, force: [0, F]}}\n"
     text = SCENE.format(
@@ -234,3 +234,158 @@ def test_a_stop_knows_the_forces_and_controls_of_the_state_just_entered(
     trace = run(text.replace("restitution: e", "restitution: 0"), step)
     assert events(trace) == [("c", "enough"), ("", "stop")]
     assert trace.t_end == pytest.approx(end, abs=2.5 * step if step else 1e-9)
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4])
+@pytest.mark.parametrize("speed", [1.0, 1.0003])
+def test_a_guard_of_the_state_entered_does_not_fire_where_the_transition_reverses_it(
+    speed: float, step: float
+) -> None:
+    """The rate rises from zero with 0.2 from then on, longer than a step."""
+    body = f"bodies: {{b: {{mass: 1, start: {{dy: {5 * speed}}}}}}}\n"
+    body += "controls: {F: 0}\nforces: {f: {body: b, force: [0, F]}}\n"
+    text = SCENE.format(body=body, go="to: b, guard: b.dy <= 0", stop="time > 2")
+    text = text.replace("b: {}}", "b: {sets: {F: 10.2}}, d: {}}").replace(
+        "updates: {n: n + 1}}",
+        "updates: {n: n + 1}}, {name: again, from: b, to: d, guard: b.dy <= 0}",
+    )
+    for size in (None, step):
+        assert [cause for region, cause in events(run(text, size)) if region == "c"] == ["go"]
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize("controlled", [False, True])
+@pytest.mark.parametrize(
+    ("speed", "stop", "end"),
+    [
+        (2.5, "b.dx <= 0 and in(k.slide)", None),
+        (2.5025, "b.dx <= 0 and in(k.slide)", None),
+        (2.5, "b.dx <= 0 and in(k.pin)", 0.5),
+        # x is 2.5 t - 2.5 t^2: before the slip ends, in its last step of 1e-3.
+        (2.5, "b.x >= 0.625 - 1e-7 and in(k.slide)", 0.4998),
+    ],
+)
+def test_a_contact_sticks_before_a_stop_at_that_instant(
+    speed: float, stop: str, end: float | None, controlled: bool, step: float | None
+) -> None:
+    body = POINT.replace("START", f"start: {{dx: {speed}}}")
+    text = SCENE.format(body=body, go="to: b, on: k.stick", stop=stop)
+    if not controlled:
+        text = text[: text.index("regions")] + text[text.index("stop") :]
+    trace = run(text, step)
+    assert trace.t_end == pytest.approx(1.0 if end is None else end, abs=1.5 * (step or 1e-9))
+    if end is None:
+        assert events(trace)[0] == ("k", "stick")
+        assert step is None or any(w.startswith("met becomes true") for w in trace.warnings)
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize(
+    ("start", "restitution", "event", "fires"),
+    [
+        # At rest the floor bears 10, in flight nothing; a block at rest has no friction.
+        ("y: 1", 0, "on: k.touchdown, guard: k.V > 5", True),
+        ("y: 1, dx: 9", 0, "on: k.touchdown, guard: k.V > 5", True),
+        ("y: 1", 0, "on: k.touchdown, guard: k.V > 15", False),
+        ("y: 1", 0, "on: k.touchdown, guard: k.V < 5", False),
+        ("y: 1", 0.5, "on: k.touchdown, guard: k.V > 5", False),
+        ("dx: 2.5", 0, "on: k.stick, guard: abs(k.H) < 1", True),
+        ("dx: 2.5", 0, "on: k.stick, guard: abs(k.H) > 1", False),
+    ],
+)
+def test_a_listener_to_a_contact_knows_the_forces_after_its_event(
+    start: str, restitution: float, event: str, fires: bool, step: float | None
+) -> None:
+    body = POINT.replace("START", f"start: {{{start}}}").replace("n: e", f"n: {restitution}")
+    trace = run(SCENE.format(body=body, go=f"to: b, {event}", stop="time >= 0.8"), step)
+    time = 0.2**0.5 if "y" in start else 0.5
+    fired = [jump.t for jump in trace.jumps if jump.region == "c"]
+    assert fired == [pytest.approx(time, abs=step or 1e-9)] * fires
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize("restitution", [0.1, 0.5])
+@pytest.mark.parametrize("height", [1.0, 1.0005, 1.0011, 1.0017, 1.0023, 1.003])
+def test_a_bounce_reverses_a_bound_at_the_surface(
+    height: float, restitution: float, step: float | None
+) -> None:
+    """The second bounce is e t after the first one, which is at t."""
+    body = POINT.replace("START", f"start: {{y: {height}}}").replace("n: e", f"n: {restitution}")
+    first = (2 * height / 10) ** 0.5
+    text = SCENE.format(body=body, go="to: b, guard: b.y <= 0", stop="b.y <= 0")
+    text = text.replace("time: 1,", f"time: {first * (1 + 1.5 * restitution)},")
+    trace = run(text, step)
+    assert set(events(trace)) == {("k", "touchdown")}
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4])
+@pytest.mark.parametrize("share", [0.03, 0.3])
+@pytest.mark.parametrize("height", [1.0, 1.0005, 1.0011, 1.0017, 1.0023, 1.003])
+def test_a_bound_above_the_surface_comes_before_the_bounce(
+    height: float, share: float, step: float
+) -> None:
+    """It is above by part of a step."""
+    body = POINT.replace("START", f"start: {{y: {height}}}")
+    bound = share * step * (20 * height) ** 0.5
+    at = (2 * (height - bound) / 10) ** 0.5
+    text = SCENE.format(body=body, go="to: b, guard: b.dy < -100", stop=f"b.y <= {bound}")
+    assert run(text, None).t_end == pytest.approx(at, abs=1e-9)
+    trace = run(text, step)
+    missed = [w for w in trace.warnings if w.startswith("met is true within the step")]
+    assert missed or trace.t_end == pytest.approx(at, abs=step)
+    text = SCENE.format(body=body, go=f"to: b, guard: b.y <= {bound}", stop="time > 0.6")
+    trace = run(text, step)
+    missed = [w for w in trace.warnings if w.startswith("c.go is true within the step")]
+    fired = [jump.t for jump in trace.jumps if jump.region == "c"]
+    assert missed or fired == [pytest.approx(at, abs=2 * step)]
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize("shape", ["", "shape: {disc: 0.1}, "])
+@pytest.mark.parametrize(
+    ("guard", "fires"),
+    [("k.Y > 5", True), ("k.Y > 15", False), ("k.Y > 5 and time < 0.00005", True)],
+)
+def test_guards_know_the_force_of_a_joint_at_the_start(
+    guard: str, fires: bool, shape: str, step: float | None
+) -> None:
+    """It bears the weight of 10."""
+    body = f"bodies: {{b: {{mass: 1, inertia: 1, {shape}start: {{y: -1}}}}}}\n"
+    body += "joints: {k: {point: {body: b}, to: [0, -1]}}\n"
+    if shape:
+        body += "surfaces: {floor: {height: -9}}\ncollisions: {a: {bodies: [b], surfaces: [floor], "
+        body += "friction: 0, restitution: 0}}\n"
+        step = step or 1e-2
+    acts = run(SCENE.format(body=body, go=f"to: b, guard: {guard}", stop=guard), step).jumps
+    assert [(jump.cause, jump.t) for jump in acts] == [("go", 0.0), ("stop", 0.0)][: 2 * fires]
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+def test_a_stop_that_new_parameters_make_true_is_met_when_they_change(step: float | None) -> None:
+    text = SCENE.format(
+        body=POINT.replace("START", "start: {y: 1}"), go="", stop="b.y <= 1 - c"
+    ).replace("e: 0.5", "e: 0.5, c: 5")
+    text = text[: text.index("regions")] + text[text.index("stop") :]
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+
+    def control(sample: Any) -> dict[str, float]:
+        return {"c": 0.1} if sample.t > 0.195 else {}
+
+    *_, last = Runner(read_text(text), **setting).stream(control=control, every=0.01)
+    assert (last.cause, last.t) == ("stop", pytest.approx(0.2, abs=1e-9))
+    assert last.before[1] == pytest.approx(0.8, abs=1e-9)
+
+
+@pytest.mark.parametrize(("period", "reached"), [(0.1, 0.0996), (0.0999, 0.0995)])
+def test_a_guard_that_a_wrap_in_its_step_reverses_gives_a_warning(
+    period: float, reached: float
+) -> None:
+    guard = f"mod(time, {period}) >= {period - 0.0004}"
+    body = "bodies: {b: {mass: 1}}\n"
+    text = SCENE.format(body=body, go=f"to: b, guard: '{guard}'", stop="time > 0.15")
+    for step in (None, 1e-4):
+        fired = [jump.t for jump in run(text, step).jumps if jump.region == "c"]
+        assert fired == [pytest.approx(reached, abs=step or 1e-9)]
+    trace = run(text, 1e-3)
+    assert not [jump for jump in trace.jumps if jump.region == "c"]
+    assert [w for w in trace.warnings if w.startswith("c.go becomes true within the step")]
