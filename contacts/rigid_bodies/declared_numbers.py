@@ -204,10 +204,10 @@ def coupling_numbers(
 ) -> CouplingNumbers:
     """Evaluate the couplings of a scene; `names` are those of `body_names`."""
     bodies, signs, holds, at, levers = [], [], [], [], []
-    single, number = scene.single_bodies(), evaluator(known)
+    owners, number = scene.owners(), evaluator(known)
     for name, coupling in scene.couplings.items():
         guide, own = scene.along_guide(name), scene.coupled(name)
-        backward = single[own[0]].prescribed
+        backward = scene.bodies[owners[own[0]]].prescribed
         pair = [names.index(body) for body in own] if not guide else [names.index(own[0])]
         pair = (pair[::-1] if backward else pair) + [-1] * (2 - len(pair))
         point = scene.joints[coupling.joint or ""].point.at if guide else (0, 0)
@@ -215,7 +215,7 @@ def coupling_numbers(
         signs.append(-1.0 if backward else 1.0)
         holds.append({"X": ALONG_X, "Y": ALONG_Y}.get(guide, TURN))
         at.append([*map(number, point)])
-        first = single[own[-1] if backward else own[0]]
+        first = scene.bodies[owners[own[-1] if backward else own[0]]]
         mass, inertia = number(first.mass), number(first.inertia or 0)
         levers.append(1.0 if guide or not inertia > 0.0 else math.sqrt(inertia / mass))
     return CouplingNumbers(

@@ -689,13 +689,13 @@ def solve_islands(
             # impacts.
             if quiet or hit[a]:
                 copy_numbers(chosen[a], active.pushes[i])
-        least = active.free[members] + active.bias[members]
-        lands = forces and joined and _remove_landings(active, members, chosen, least)
-        if lands or (forces and not quiet):
-            pushes = active.pushes[members]
-            pushes = forces_without_impacts(contacts, hit, least, pushes, tolerance, fast)
-            for a in range(size):
-                copy_numbers(pushes[a], space.steady[members[a]])
+        if forces and (joined or not quiet):
+            least, pushes = active.free[members] + active.bias[members], active.pushes[members]
+            lands = joined and _remove_landings(active, members, chosen, least)
+            if lands or not quiet:
+                pushes = forces_without_impacts(contacts, hit, least, pushes, tolerance, fast)
+                for a in range(size):
+                    copy_numbers(pushes[a], space.steady[members[a]])
         effort[RESIDUAL] = max(effort[RESIDUAL], residual)
         effort[ITERATIONS] += iterations
         effort[CALMED] = max(effort[CALMED], 1.0 if softened else 0.0)

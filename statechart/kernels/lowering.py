@@ -41,12 +41,8 @@ class _References:
         self._models = state.targetctx.data_model_manager
         self._kinds, self._calls = state.typemap, state.calltypes
         blocks = state.func_ir.blocks.values()
-        assigned = [
-            one
-            for block in blocks
-            for one in block.find_insts(ir.Assign)
-            if self._has_references(one.target.name)
-        ]
+        every = [one for block in blocks for one in block.find_insts(ir.Assign)]
+        assigned = [one for one in every if self._has_references(one.target.name)]
         returned = {one.value.name for block in blocks for one in block.find_insts(ir.Return)}
         self.counted: set[str] = set()
         self._spread(assigned)
@@ -55,6 +51,13 @@ class _References:
             self.counted |= returned
             self._spread(assigned)
         self.borrowing = {one.target.name for one in assigned} - self.counted
+        # Numbers unpacked from an array, whose iterator lasts no longer than that.
+        self.borrowing |= {
+            one.target.name
+            for one in every
+            if getattr(one.value, "op", "") == "exhaust_iter"
+            and not self._has_references(one.target.name)
+        }
 
     def _has_references(self, name: str) -> bool:
         return bool(self._models[self._kinds[name]].contains_nrt_meminfo())
@@ -78,6 +81,8 @@ class _References:
         kind = self._kinds[call.func.name]
         if isinstance(kind, types.BoundFunction):
             return str(kind.typing_key) == "array.reshape"
+        if isinstance(kind, types.NamedTupleClass):
+            return True
         return _lends(kind, self._calls[call])
 
 

@@ -9,6 +9,7 @@ import threading
 import time
 from pathlib import Path
 from types import FunctionType
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -54,6 +55,20 @@ def _sum_of_rows(values: Array, pair: tuple[Array, Array]) -> float:
     return total
 
 
+class _Named(NamedTuple):
+    rows: Array
+    others: Array
+
+
+def _numbers_of_a_tuple(values: Array, pair: tuple[Array, Array]) -> float:
+    named = _Named(values, pair[0])
+    total, factor = named.rows[0]
+    for i in range(named.rows.shape[0]):
+        left, right = named.rows[i]
+        total += left * factor - right
+    return total + named.others[0]
+
+
 def _of_a_copy(values: Array, pair: tuple[Array, Array]) -> float:
     return values.copy()[0, 0] + pair[0][0]
 
@@ -68,7 +83,13 @@ def _first_row(values: Array, pair: tuple[Array, Array]) -> Array:
 
 @pytest.mark.parametrize(
     ("function", "counts"),
-    [(_sum_of_rows, False), (_of_a_copy, True), (_of_those_chosen, True), (_first_row, True)],
+    [
+        (_sum_of_rows, False),
+        (_numbers_of_a_tuple, False),
+        (_of_a_copy, True),
+        (_of_those_chosen, True),
+        (_first_row, True),
+    ],
 )
 def test_references_are_counted_when_arrays_are_created_or_returned(function, counts):
     compiled = Kernel(function, interpreted=False)
@@ -84,9 +105,9 @@ def test_references_are_counted_when_arrays_are_created_or_returned(function, co
 
 
 @kernel
-def _halves(values: Array) -> tuple[Array, Array]:
+def _halves(values: Array) -> _Named:
     middle = values.shape[0] // 2
-    return values[:middle], values[middle:]
+    return _Named(values[:middle], values[middle:])
 
 
 @kernel
