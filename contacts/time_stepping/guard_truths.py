@@ -232,16 +232,20 @@ class StepTruths:
         return not bool(np.all(margins > self._setup.rounded * sizes))
 
     def _falls(self, end: StepEnd) -> Bools:
-        """Return the atoms (1, a) that became true in the step before transitions, by falling."""
+        """Return the atoms (1, a) that fell to their bound in the step before transitions.
+
+        In a step with an impact these fell before it; atoms that jump at the impact do not fall.
+        """
         last = end.last
         if last is None:
             return np.zeros_like(self._back)
-        struck = bool(last.struck[-1].any())
-        steps = min(1 + int(struck), len(last.codes))
-        times = end.time - last.h * np.array([steps, 0])
-        states, solved = last.states[[-1 - steps, -1]], np.tile(last.solved[-1], (2, 1))
-        (first, now), (_, rate) = (self.table(times, states, solved, o)[..., 0] for o in (0, 1))
-        falls: Bools = (first >= 0.0) & (now < 0.0) & ((rate < 0.0) | struck)
+        times, states = end.time - last.h * np.array([1, 0]), last.states[-2:]
+        solved = np.tile(last.solved[-1], (2, 1))
+        (first, now), (fall, rate) = (self.table(times, states, solved, o)[..., 0] for o in (0, 1))
+        if last.struck[-1].any():
+            # The contact may have touched up to half a step before this one.
+            first, rate = first - last.h * fall, fall
+        falls: Bools = (first >= 0.0) & (now < 0.0) & (rate < 0.0)
         return falls[None]
 
     def true_at(self, time: float, state: Array, solved: Array, h: float, codes: Ints) -> Bools:

@@ -318,6 +318,45 @@ def test_a_bounce_reverses_a_bound_at_the_surface(
     assert set(events(trace)) == {("k", "touchdown")}
 
 
+@pytest.mark.parametrize("step", [None, 1e-3])
+@pytest.mark.parametrize("height", [1.0, 1.00013, 1.0005, 1.0011, 1.0017])
+def test_a_transition_on_an_impact_leaves_the_speeds_after_it(
+    height: float, step: float | None
+) -> None:
+    """The ball lands at t = sqrt(h/5) and rises with 5 t: both guards and the stop are true."""
+    body = POINT.replace("START", f"start: {{y: {height}}}")
+    text = SCENE.format(body=body, go="to: b, on: k.touchdown", stop="b.dy > 0")
+    trace, lands = run(text, step), pytest.approx((height / 5) ** 0.5, abs=1.5 * (step or 1e-9))
+    assert events(trace) == [("k", "touchdown"), ("c", "go"), ("", "stop")]
+    assert trace.t_end == lands
+    text = text.replace("b.dy > 0", "time > 0.6").replace("b: {}}", "b: {}, d: {}}")
+    entered = text.replace("n + 1}}", "n + 1}}, {name: up, from: b, to: d, guard: b.dy >= 2}")
+    other = """\
+  o:
+    initial: a
+    states: {a: {}, b: {}}
+    transitions: [{name: up, from: a, to: b, guard: b.dy > 0}]
+"""
+    first, last = "regions:\n", "stop: {time"
+    for scene in (entered, text.replace(first, first + other), text.replace(last, other + last)):
+        assert [jump.t for jump in run(scene, step).jumps if jump.cause == "up"] == [lands]
+
+
+@pytest.mark.parametrize("step", [None, 1e-3])
+@pytest.mark.parametrize("height", [1.0, 1.0007, 1.0018, 1.0026, 1.00333])
+def test_a_guard_of_the_state_entered_does_not_fire_where_the_impact_reverses_it(
+    height: float, step: float | None
+) -> None:
+    """The second bounce is 0.1 t after the first one, which is at t."""
+    body = POINT.replace("START", f"start: {{y: {height}}}").replace("n: e", "n: 0.1")
+    end = 1.05 * (height / 5) ** 0.5
+    text = SCENE.format(body=body, go="to: b, on: k.touchdown", stop=f"time > {end}")
+    text = text.replace("b: {}}", "b: {}, d: {}}").replace(
+        "n + 1}}", "n + 1}}, {name: up, from: b, to: d, guard: b.y <= 0}"
+    )
+    assert events(run(text, step)) == [("k", "touchdown"), ("c", "go"), ("", "stop")]
+
+
 @pytest.mark.parametrize("step", [1e-3, 1e-4])
 @pytest.mark.parametrize("share", [0.03, 0.3])
 @pytest.mark.parametrize("height", [1.0, 1.0005, 1.0011, 1.0017, 1.0023, 1.003])
