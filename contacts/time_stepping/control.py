@@ -27,6 +27,7 @@ from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, RESTS, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.guard_truths import (
+    AT_END,
     ActiveStates,
     StepEnd,
     StepTruths,
@@ -116,10 +117,11 @@ class StepControl:
         at, solved = np.array([last.duration]), last.solved
         assert solved is not None
         true = self._truths.true_at(time, last.states(at)[0], solved[-1], end.h, end.codes)
+        latest = time + AT_END * end.h
         return bool(
             self._pending
             or self._chosen(true)
-            or any(jump.t <= time and self._waiting(jump, end) for jump in jumps)
+            or any(jump.t <= latest and self._waiting(jump, end) for jump in jumps)
         )
 
     def turn(self, recorder: Recorder, jumps: Sequence[Jump], end: StepEnd) -> StepEnd:
