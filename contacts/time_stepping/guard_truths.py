@@ -182,6 +182,18 @@ class StepTruths:
         """Continue with the same guards in other states of controllers."""
         self._controlled, self._watch, self._states = guards, guards.watch, states
 
+    def change(self, setup: SceneSetup, time: float, state: Array, h: float) -> None:
+        """Continue with other values of parameters.
+
+        An atom that an impact has turned back stays so, unless they move its bound farther than it
+        rises in a step.
+        """
+        self._setup = setup
+        at = np.array([time]), state[None], np.full((1, 1 + max(self.order, default=0)), np.nan)
+        margins, rates = (self.table(*at, order)[..., 0] for order in (0, 1))
+        self._back = self._back & (margins > self._start - h * rates)
+        self._start = np.where(np.isnan(margins), self._start, margins)
+
     def table(self, times: Array, states: Array, solved: Array, order: int = 0) -> Array:
         """Return margins, or time derivatives, and sizes of terms (m, a, 2) for m instants."""
         unknowns = solved[:, self.order]

@@ -570,7 +570,7 @@ class Stepper(ABC):
             if changed:
                 parameters |= changed
                 setup = inputs.change(parameters)
-                run.stops = StopConditions(self.stops, setup, inputs.controls)
+                run.stops.change(setup, run.time, run.state, run.request.step)
         recorder.close()
         yield from fresh()
         trace = run.trace()

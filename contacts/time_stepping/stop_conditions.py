@@ -19,6 +19,7 @@ from contacts.time_stepping.guard_truths import (
 )
 from contacts.time_stepping.lazy_arcs import cut
 from contacts.time_stepping.recorder import Recorder
+from statechart.arrays import Array
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Arc, Key
 from statechart.charts.guard_watch import Guard
@@ -69,6 +70,11 @@ class StopConditions:
     def remarks(self) -> tuple[str, ...]:
         """Warnings of conditions that steps pass over."""
         return tuple(self._spans.values())
+
+    def change(self, setup: SceneSetup, time: float, state: Array, h: float) -> None:
+        """Continue with other values of parameters."""
+        if self._guards.names:
+            self._truths.change(setup, time, state, h)
 
     def after_jumps(self, recorder: Recorder, end: StepEnd) -> int | None:
         """Return the condition that is met at the start, or after jumps at the end of a step.

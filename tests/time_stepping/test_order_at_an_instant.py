@@ -318,7 +318,7 @@ def test_a_bounce_reverses_a_bound_at_the_surface(
     assert set(events(trace)) == {("k", "touchdown")}
 
 
-@pytest.mark.parametrize("step", [None, 1e-3])
+@pytest.mark.parametrize("step", [None, 1e-3, 2.5e-4])
 @pytest.mark.parametrize("height", [1.0, 1.00013, 1.0005, 1.0011, 1.0017])
 def test_a_transition_on_an_impact_leaves_the_speeds_after_it(
     height: float, step: float | None
@@ -342,7 +342,7 @@ def test_a_transition_on_an_impact_leaves_the_speeds_after_it(
         assert [jump.t for jump in run(scene, step).jumps if jump.cause == "up"] == [lands]
 
 
-@pytest.mark.parametrize("step", [None, 1e-3])
+@pytest.mark.parametrize("step", [None, 1e-3, 2.5e-4])
 @pytest.mark.parametrize("height", [1.0, 1.0007, 1.0018, 1.0026, 1.00333])
 def test_a_guard_of_the_state_entered_does_not_fire_where_the_impact_reverses_it(
     height: float, step: float | None
@@ -413,6 +413,32 @@ def test_a_stop_that_new_parameters_make_true_is_met_when_they_change(step: floa
     *_, last = Runner(read_text(text), **setting).stream(control=control, every=0.01)
     assert (last.cause, last.t) == ("stop", pytest.approx(0.2, abs=1e-9))
     assert last.before[1] == pytest.approx(0.8, abs=1e-9)
+
+
+@pytest.mark.parametrize(("height", "step"), [(1.0017, 1e-3), (1.0, 2.5e-4)])
+@pytest.mark.parametrize(("bound", "stops"), [("0", False), ("1e-6*(c - 1)", False), ("8*c", True)])
+def test_new_parameters_keep_a_bound_that_a_bounce_reverses(
+    bound: str, stops: bool, height: float, step: float
+) -> None:
+    """The ball lands at t, and the bound stays below it, or is moved above it after that."""
+    body = POINT.replace("START", f"start: {{y: {height}}}")
+    text = SCENE.format(body=body, go="", stop=f"b.y <= {bound}")
+    text = text[: text.index("regions")] + text[text.index("stop") :]
+    text = text.replace("e: 0.5", "e: 0.5, c: 0, f: 0") + "forces: {w: {body: b, force: [f, 0]}}\n"
+    lands = (height / 5) ** 0.5
+    after = lands + 2.5 * step
+
+    def control(sample: Any) -> dict[str, float]:
+        moved = sample.t > after if stops else sample.t
+        return {"f": sample.t, "c": float(moved)}
+
+    stream = Runner(
+        read_text(text.replace("time: 1", "time: 0.6")), engine="impulse", step=step
+    ).stream
+    *_, last = stream(control=control, every=step)
+    assert (getattr(last, "cause", None) == "stop") == stops
+    if stops:
+        assert last.t == pytest.approx(after, abs=2 * step)
 
 
 @pytest.mark.parametrize(("period", "reached"), [(0.1, 0.0996), (0.0999, 0.0995)])
