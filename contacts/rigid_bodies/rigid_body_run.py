@@ -269,8 +269,8 @@ class RigidBodyRun(SteppedSystem):
         self._parted, self._most_parts = 0, 1
         # Energy added by joints, and largest kinetic energy so far.
         self._added = self._moved = 0.0
-        self._before = (0.0, 0.0)
         self._gain_error: StepTooLarge | UnsolvedImpulses | None = None
+        self._before = (self._added, self._moved, self._gain_error)
         self._no_ground = MissingGround(names, surfaces, numbers)
         self._penetration = Penetration(names, numbers, start_depth)
         # The rotation of a centred disc is irrelevant.
@@ -351,8 +351,7 @@ class RigidBodyRun(SteppedSystem):
         """Revert the last steps."""
         self._saved = self._saved.enlarged_to(self._warm)
         self._warm = self._saved.copy()
-        self._added, self._moved = self._before
-        self._gain_error = None
+        self._added, self._moved, self._gain_error = self._before
         self._prescribed.forget()
 
     @property
@@ -450,7 +449,8 @@ class RigidBodyRun(SteppedSystem):
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps; see `SteppedSystem.steps`. A rejected step is split."""
         # Steps beyond a jump are reverted.
-        self._saved, self._before = self._warm.copy(), (self._added, self._moved)
+        self._saved = self._warm.copy()
+        self._before = (self._added, self._moved, self._gain_error)
         self._prescribed.save()
         if self._gain_error is not None:
             raise self._gain_error

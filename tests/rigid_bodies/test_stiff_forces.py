@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from contextlib import suppress
 
 import pytest
 
 from contacts.rigid_bodies import rigid_body_run
+from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import StepTooLarge
 from statechart.loading.load import interpret
@@ -141,6 +143,25 @@ def test_joints_that_add_energy_end_the_run(monkeypatch):
     with pytest.raises(StepTooLarge, match=r"for the joints: these have added .* take") as caught:
         Runner(interpret(read_text(bridge(500, 1e-3)))).run()
     assert 1e-6 < float(str(caught.value).rsplit("take ", 1)[1].split()[0]) < 1e-2
+
+
+def test_a_reverted_next_step_keeps_the_error_of_the_run(monkeypatch):
+    monkeypatch.setattr(rigid_body_run, "_ADDED", 1e-3)
+    runner, steps = Runner(interpret(read_text(bridge(500, 1e-3)))), RigidBodyRun.steps
+    with pytest.raises(StepTooLarge) as first:
+        runner.run()
+
+    def reverting(self, start, h, state, count):
+        chunk = steps(self, start, h, state, count)
+        with suppress(StepTooLarge):
+            steps(self, start + len(chunk.codes) * h, h, chunk.states[-1], 1)
+        self.forget()
+        return chunk
+
+    monkeypatch.setattr(RigidBodyRun, "steps", reverting)
+    with pytest.raises(StepTooLarge) as second:
+        runner.run()
+    assert str(second.value) == str(first.value)
 
 
 @pytest.mark.parametrize("mass", [500, 5000, 50000])
