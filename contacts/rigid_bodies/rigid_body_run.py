@@ -270,7 +270,8 @@ class RigidBodyRun(SteppedSystem):
         # Energy added by joints, and largest kinetic energy so far.
         self._added = self._moved = 0.0
         self._gain_error: StepTooLarge | UnsolvedImpulses | None = None
-        self._before = (self._added, self._moved, self._gain_error)
+        self._before: tuple[float, float, StepTooLarge | UnsolvedImpulses | None]
+        self._before = 0.0, 0.0, None
         self._no_ground = MissingGround(names, surfaces, numbers)
         self._penetration = Penetration(names, numbers, start_depth)
         # The rotation of a centred disc is irrelevant.
