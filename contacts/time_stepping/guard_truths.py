@@ -1,16 +1,17 @@
-"""Truth of guards in time steps: of transitions of controllers, and of stop conditions.
+"""Truth values of transition guards and stop conditions in time steps.
 
-A guard fires at the start if it is true there, and at the end of a step in which it becomes true
-and still is, or at which it is true and not about to become false by itself. A quantity that stays
-on its boundary for a step, as the slip of a sticking contact does, is zero up to round-off: `<=`
-and `>=` hold, `<` and `>` do not.
+A guard fires at the start if it is true there. It fires at the end of a step in which it becomes
+true and still is, or at which it is true and not about to become false by itself. A quantity that
+stays on its boundary for a step, as the slip of a sticking contact does, is zero up to round-off:
+`<=` and `>=` hold, `<` and `>` do not.
 
-Within a step margins are interpolated, by cubics (Hermite), or linearly in steps with impacts and
-where a rate is unknown: a warning names a guard that is true there, at neither end. An impact, or a
-transition at the end of a step, may leave a margin beyond the bound at which it turns it back, by
-the order of the step: such an atom is false while it rises, and one that falls to its bound where
-an open contact touches waits for the impact. Those that an impact changes are as at one end or the
-other.
+Within a step cubics (Hermite) interpolate the margins. In steps with impacts, and where a rate is
+unknown, lines do. A warning names a guard that is true within a step, at neither end.
+
+An impact or transition that reverses a margin at its bound may leave it beyond, by the order of the
+step. The atom is false while the margin rises back. An atom that falls to its bound as an open
+contact touches waits for the impact. An atom that jumps at an impact has the truth value of one end
+of the step or of the other.
 """
 
 from __future__ import annotations
@@ -35,10 +36,13 @@ from statechart.automaton.trace import Key
 AT_END = 1e-6
 """Part of a step within which a guard counts as true at its end: times are rounded."""
 
-# Part of a step within which a margin falls to its bound as a contact touches, found from the gaps
-# before; and part of the fall in a step that counts as zero at the touch.
-_AT_TOUCH, _TOUCHED = 0.1, 0.01
-# Steps after an impact within which forces are known.
+# Part of a step by which a margin may reach its bound before a contact touches, and still count as
+# reversed there: lines through gaps and margins find both instants.
+_AT_TOUCH = 0.1
+# Part of the fall in a step by which a margin is beyond its bound at the touch at least, if it is
+# true before: below it is at the bound up to the curvature of the motion.
+_TOUCHED = 0.01
+# Steps that are taken to find forces after an impact: a landing hides them for up to five steps.
 _LANDING = 8
 
 
@@ -47,8 +51,8 @@ class StepEnd:
     """An instant between steps: the start, or the end of a step, also after transitions there.
 
     `size` is the number of coordinates, `codes` (r,) are the modes, `last` the steps before. The
-    unknowns `own` (u,) are those of the state if it is `fresh`; after jumps (`turned`: transitions)
-    the next step is solved for them when they are read.
+    unknowns `own` (u,) are those of the state if it is `fresh`; after jumps the next step is solved
+    for them when they are read.
     """
 
     system: SteppedSystem
@@ -60,12 +64,11 @@ class StepEnd:
     own: Array
     last: Chunk | None
     fresh: bool = True
-    turned: bool = False
+    after_transitions: bool = False
 
     def after(self, state: Array) -> StepEnd:
         """Return this instant after a transition to a state."""
-        own = self.__dict__.get("solved", self.own)
-        return replace(self, state=state, own=own, fresh=False, turned=True)
+        return replace(self, state=state, fresh=False, after_transitions=True)
 
     @cached_property
     def next_step(self) -> Chunk | None:
@@ -82,12 +85,12 @@ class StepEnd:
 
     @cached_property
     def relayed(self) -> Array:
-        """`solved` without accelerations that transitions have turned.
+        """`solved` without accelerations that transitions have reversed.
 
         Guards on their bounds wait for the next step: those of an ideal relay would never end.
         """
         known, n = self.solved.copy(), self.size
-        if self.turned:
+        if self.after_transitions:
             known[:n][self.own[:n] * known[:n] < 0.0] = np.nan
         return known
 
@@ -171,7 +174,7 @@ class StepTruths:
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
         self._start = np.full((1, count), np.nan)
         self._gaps = np.full(1, np.nan)  # At the last midpoint.
-        # Atoms that impacts or transitions have turned back, while they rise.
+        # Atoms that impacts or transitions have reversed, while they rise.
         self._back = np.zeros((1, count), np.bool_)
         # In the last steps that do not know forces: atoms on these, other atoms that were true, and
         # guards that were true but for the first.
@@ -185,8 +188,8 @@ class StepTruths:
     def change(self, setup: SceneSetup, time: float, state: Array, h: float) -> None:
         """Continue with other values of parameters.
 
-        An atom that an impact has turned back stays so, unless they move its bound farther than it
-        rises in a step.
+        An atom that an impact has reversed stays false, unless its bound moves farther than the
+        margin rises in a step.
         """
         self._setup = setup
         at = np.array([time]), state[None], np.full((1, 1 + max(self.order, default=0)), np.nan)
@@ -216,10 +219,10 @@ class StepTruths:
             np.array([end.time]), end.state[None], solved[None], end.h, self._zero[:1]
         )
         back = ends.true & self._back
-        if end.turned and ends.true.any():
+        if end.after_transitions and ends.true.any():
             back |= ends.true & self._falls(end)
         if back.any():
-            # Also of accelerations that have turned.
+            # With accelerations that have reversed, too.
             rates = self.table(np.array([end.time]), end.state[None], end.solved[None], 1)[..., 0]
             back &= end.h * rates > ends.zero
         true = ends.true & ~back
@@ -275,19 +278,19 @@ class StepTruths:
             chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, self._zero[1:]
         )
         self._at, self._codes = ends, codes[1:]
-        self._turned, self._jumped, self._dips = np.zeros((3, *ends.true.shape), np.bool_)
+        self._reversed, self._jumped, self._dips = np.zeros((3, *ends.true.shape), np.bool_)
         # Steps with impacts -> the part of the step at which contacts touch, and the margins then.
         self._touched = dict[int, tuple[float, Array]]()
-        self._backs = np.zeros_like(self._turned)
+        self._backs = np.zeros_like(self._reversed)
         waits = self._wait_for_impacts(chunk)
         if chunk.struck.any():
-            self._strike(chunk, start)
+            self._classify_at_impacts(chunk, start)
         self._all = np.vstack([self._last, ends.true & ~waits])
-        hit = np.flatnonzero(self._turned.any(axis=1)).tolist() if self._touched else []
+        hit = np.flatnonzero(self._reversed.any(axis=1)).tolist() if self._touched else []
         back, done = self._back[0], 0
         for first in [0, *hit] if back.any() else hit:
             for k in range(max(first, done), len(ends.true)):
-                back = (back | (self._turned[k] & ~self._all[k])) & self._all[k + 1]
+                back = (back | (self._reversed[k] & ~self._all[k])) & self._all[k + 1]
                 back &= chunk.h * ends.rates[k] > ends.zero[k]
                 done = k + 1
                 if not back.any():
@@ -321,8 +324,8 @@ class StepTruths:
             touches: Array = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
         return touches
 
-    def _strike(self, chunk: Chunk, start: float) -> None:
-        """Find the atoms that impacts turn back, those that they change, and those true before."""
+    def _classify_at_impacts(self, chunk: Chunk, start: float) -> None:
+        """Find the atoms that impacts reverse at or beyond their bounds, and those that jump."""
         hit = np.flatnonzero(chunk.struck.any(axis=1))
         sides, h = chunk.states[[hit, hit, hit + 1]], chunk.h
         delay = np.tile(0.5 * h + chunk.impact_delay[hit], (3, 1))
@@ -336,10 +339,10 @@ class StepTruths:
         (touched, left, right), (_, fall, rise) = (
             np.split(self.table(*at, solved, order)[..., 0], 3) for order in (0, 1)
         )
-        turned = (fall < 0.0) & (rise > 0.0)
+        reverses = (fall < 0.0) & (rise > 0.0)
         known = np.isfinite(touch)[:, None]
-        self._dips[hit] = turned & known & (touched < _TOUCHED * h * fall)
-        self._turned[hit] = turned & ~self._dips[hit]
+        self._dips[hit] = reverses & known & (touched < _TOUCHED * h * fall)
+        self._reversed[hit] = reverses & ~self._dips[hit]
         self._jumped[hit] = (left < 0.0) != (right < 0.0)
         self._touched = dict(zip(hit.tolist(), zip(touch / h, touched, strict=True), strict=True))
 
@@ -440,13 +443,14 @@ class StepTruths:
         count, ends = len(chunk.codes), self._at
         first = np.vstack([self._start, ends.margins])[:count]
         last, change = ends.margins[:count], chunk.h * ends.rates[:count]
-        before, after, turned = self._all[:count], self._all[1 : count + 1], self._turned[:count]
-        crossed = (before != after) & ~turned
+        before, after = self._all[:count], self._all[1 : count + 1]
+        crossed = (before != after) & ~self._reversed[:count]
         # The parabola last - change s + bend s^2, s back from the end.
         bend = first - last + change
         with np.errstate(divide="ignore", invalid="ignore"):
             deep = last - 0.25 * change**2 / bend < -ends.zero[:count]
-        dips = deep & (change > 0.0) & (change < 2.0 * bend) & ~(before | after | turned)
+        dips = deep & (change > 0.0) & (change < 2.0 * bend)
+        dips &= ~(before | after | self._reversed[:count])
         if self._touched:
             dips |= self._dips[:count] & ~(before | after)
         return (crossed.sum(axis=1) > 1) | dips.any(axis=1)
@@ -478,7 +482,7 @@ class StepTruths:
         # Atoms that cross zero at the same instant may hold there alone.
         on_zero = np.where(first != last, self._watch.closed, last)
         inside = np.where(np.abs(at) <= self._at.zero[k], on_zero, at < 0.0)
-        inside = np.where(self._turned[k], first & last, inside)
+        inside = np.where(self._reversed[k], first & last, inside)
         # The impact may be anywhere in the step.
         parts = (np.where(self._jumped[k], side, inside) for side in (first, last))
         rows = np.vstack([first, last, *parts])

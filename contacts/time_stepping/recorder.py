@@ -199,9 +199,11 @@ class Recorder:
         ends: Bools = self.sticks & np.isin(shown, SLIPS) & np.isin(chunk.modes, [*RESTS])
         return ends
 
-    def stick(self, modes: Ints, state: Array) -> None:
-        """Append jumps of regions that stick at the end of the last step, in these modes."""
+    def stick(self, modes: Ints, state: Array) -> bool:
+        """Append jumps of regions that stick at the end of the last step; return if any does."""
+        before = self.count
         self._change(np.where(np.isin(modes, [*RESTS]), modes, self.row), state)
+        return self.count > before
 
     def stop(self, name: str, state: Array) -> None:
         """Append the jump of a stop condition."""

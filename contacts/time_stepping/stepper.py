@@ -336,7 +336,7 @@ class SteppedRun:
         return StepEnd(self.system, coordinates, time, h, self.state, row, solved, last)
 
     def _until_stop(self, chunk: Chunk, start: float) -> Chunk:
-        """Judge the stop conditions; return the steps until a contact sticks where one is met."""
+        """Evaluate the stop conditions; retake steps up to one that is met as a contact sticks."""
         self.stops.take(chunk, start, self.recorder)
         met = self.stops.first_met(chunk)
         if met is None or not self.recorder.slips_end(chunk)[met[0]].any():
@@ -351,8 +351,7 @@ class SteppedRun:
         step = at.next_step if ends.any() else None
         if step is None:
             return False
-        self.recorder.stick(np.where(ends, step.modes[0], at.codes), at.state)
-        sticks = self.recorder.row is not at.codes
+        sticks = self.recorder.stick(np.where(ends, step.modes[0], at.codes), at.state)
         at.codes, at.fresh = self.recorder.row, not sticks
         return sticks
 
