@@ -98,7 +98,8 @@ class PrescribedMotion:
     def __init__(self, mechanics: BodyMechanics, paths: Paths, values: Array) -> None:
         self._mechanics, self._paths, self._values = mechanics, paths, values
         self.controlled = bool(mechanics.scene.regions)
-        self.joints, self.leads = mechanics.scene.joints, paths.leads
+        self.scene, self.joints = mechanics.scene, mechanics.scene.joints
+        self.leads = paths.leads
         # Poses at the last detection, and its step size.
         self._last: tuple[Array, float] | None = None
         self._saved: tuple[Array, float] | None = None

@@ -19,7 +19,13 @@ from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
-from contacts.rigid_bodies.declared_numbers import joint_ends, openings, rotated, surface_title
+from contacts.rigid_bodies.declared_numbers import (
+    implied_remarks,
+    joint_ends,
+    openings,
+    rotated,
+    surface_title,
+)
 from contacts.rigid_bodies.default_step import inner_radii
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
@@ -272,6 +278,7 @@ class RigidBodyRun(SteppedSystem):
         self._before = (0.0, 0.0)
         self._gain_error: StepTooLarge | UnsolvedImpulses | None = None
         self._no_ground = MissingGround(names, surfaces, numbers)
+        self._implied = dict[str, None]()  # Warnings of redundant joints.
         self._penetration = Penetration(names, numbers, start_depth)
         # The rotation of a centred disc is irrelevant.
         pieces, seen = numbers.pieces, np.ones(len(names), dtype=np.bool_)
@@ -285,12 +292,17 @@ class RigidBodyRun(SteppedSystem):
         """Change the states of controllers; see `SteppedSystem`."""
         _, after, time = at
         self._prescribed.switch(states)
-        on = self.numbers.joints.on
+        on, closes = self.numbers.joints.on, False
         for j, joint in enumerate(self._prescribed.joints):
             if joint in states:
                 if states[joint] == CLOSED and not on[j]:
                     self._close(j, joint, after, time)
+                    closes = True
                 on[j] = states[joint] == CLOSED
+        if closes:
+            poses = self._poses_and_rates(after, time)[0]
+            remarks = implied_remarks(self._prescribed.scene, self.numbers, poses)
+            self._implied |= dict.fromkeys(remarks)
         if not self._prescribed.leads:
             return {}, False
         found = self.detect(after, time, _INSTANT * self._length)
@@ -334,9 +346,7 @@ class RigidBodyRun(SteppedSystem):
 
     def _apart(self, state: Array, time: float) -> Array:
         """Return by how much joints (j,) are open; 0 for less than a step moves their points."""
-        led = self._prescribed.poses(time, state[2 * self.numbers.size :])
-        moved = self.numbers.moved(state, np.stack([led, np.zeros_like(led)]))
-        joints = self.numbers.joints
+        moved, joints = self._poses_and_rates(state, time), self.numbers.joints
         _, ends, speeds = joint_ends(joints, moved)
         distances, size = openings(joints, ends), float(self.numbers.sizes[: self._moving].max())
         speeds, turns, welds = np.hypot(*speeds.T), moved[:, joints.bodies, 2], joints.kinds == TURN
@@ -346,6 +356,11 @@ class RigidBodyRun(SteppedSystem):
         speeds[:, welds] = size * np.abs(turns[1]).T[:, welds]
         allowed = 2.0 * self._length * speeds.sum(axis=0) + _JUMPED_INTO * size
         return np.where(distances > allowed, distances, 0.0)
+
+    def _poses_and_rates(self, state: Array, time: float) -> Array:
+        """Return the poses and rates (2, b, 3) of bodies; led ones do not move."""
+        led = self._prescribed.poses(time, state[2 * self.numbers.size :])
+        return self.numbers.moved(state, np.stack([led, np.zeros_like(led)]))
 
     def forget(self) -> None:
         """Revert the last steps."""
@@ -443,6 +458,7 @@ class RigidBodyRun(SteppedSystem):
             digit = 10.0 ** math.floor(math.log10(finest))
             advice = f"; take steps of {math.floor(finest / digit) * digit:.1g} or less"
         return (
+            *self._implied,
             *self._no_ground.remarks,
             *(text + advice for text, _ in too_long),
         )

@@ -190,18 +190,24 @@ class StepControl:
         if name in self._states.joints and taken.target == CLOSED:
             closing = self._closed(name, after, recorder, end.h, struck)
             after = closing.state
+        # Joints of shapes close in the next step.
+        closes = name in self._mechanics.scene.joints and taken.target == CLOSED
+        next_step = end.next_step if closes and name not in self._states.joints else None
         switched, self.strikes = self._scene.switch(
             self._states.named(self.states), (state, after, recorder.clock.high)
         )
         moved = closing.modes | switched
         then = end.after(after)
+        joint_impulse = closing.joint_impulse
+        if next_step is not None and then.next_step is not None:
+            joint_impulse = recorder.closing_impulse(next_step, then.next_step)
         if resting := [i for i, code in closing.modes.items() if code in RESTS]:
             # Forces decide the mode of a contact that the impact leaves without slip.
             codes = (recorder.row if then.next_step is None else then.next_step.modes[0]).tolist()
             moved |= {i: codes[i] for i in resting if STATES[codes[i]] not in OPEN}
         jump = recorder.turn(
             name, taken.name, self.states, (state, after), fired, moved,
-            impulse=closing.impulse, joint_impulse=closing.joint_impulse,
+            impulse=closing.impulse, joint_impulse=joint_impulse,
         )  # fmt: skip
         then.codes = recorder.row
         if watch.of_state.isdisjoint(fired):
