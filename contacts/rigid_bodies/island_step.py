@@ -465,10 +465,10 @@ def _restore_pushes(active: ActiveContacts, island: Island) -> None:
 @kernel
 def _joint_closes(active: ActiveContacts, members: Ints) -> bool:
     """Return whether a joint of an island closes in this step, or the run begins."""
+    closes = False
     for i in members:
-        if active.materials[i, 0] < 0.0 and active.landings[i] == 1.0:
-            return True
-    return False
+        closes = closes or (active.materials[i, 0] < 0.0 and active.landings[i] == 1.0)
+    return closes
 
 
 @kernel

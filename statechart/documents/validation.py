@@ -269,6 +269,11 @@ def _message_and_advice(
         return f"{message}, not {word!r}", other_value(
             word, "'value', 'integral', 'minimum', 'maximum'"
         )
+    if kind == "output" and isinstance(value, str | int | float) and not built:
+        return (
+            f"{context.get('message', details['msg'])}; got {shown}",
+            f"write {flow({'value': value})}",
+        )
     if kind == "union_tag_invalid":
         tags = context["expected_tags"]
         return f"must be one of {tags}, not {context['tag']!r}", other_value(context["tag"], tags)
