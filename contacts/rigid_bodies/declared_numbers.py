@@ -251,11 +251,9 @@ def joint_openings(joints: JointNumbers, ends: Array, angles: Array) -> Array:
     """Return by how much joints (j,) are open: distances, and radians of rows of angles."""
     kinds, way = joints.kinds, ends[:, 0] - ends[:, 1]
     beyond = np.where(kinds < TURN, np.hypot(*way.T), angles) - joints.sizes[:, 0]
-    open_by: Array = np.hypot(*(way * _HELD[kinds, :2]).T)
-    exact, most = np.isin(kinds, (ROD, TURN)), np.isin(kinds, (ROPE, GREATEST))
-    open_by[exact] = np.abs(beyond[exact])
-    open_by[most] = np.maximum(beyond[most], 0.0)
-    open_by[kinds == LEAST] = np.maximum(-beyond[kinds == LEAST], 0.0)
+    beyond[kinds == LEAST] *= -1.0
+    far = np.where(np.isin(kinds, (ROD, TURN)), np.abs(beyond), np.maximum(beyond, 0.0))
+    open_by: Array = np.where(kinds < ROD, np.hypot(*(way * _HELD[kinds, :2]).T), far)
     return open_by
 
 

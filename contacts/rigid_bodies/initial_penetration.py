@@ -138,14 +138,14 @@ def check_containers(
         # Copies have the outline of their kind.
         large = np.unique(bodies[meets & (pieces.spans > radius)])
         for b in large[np.unique(numbers.kinds[large], return_index=True)[1]].tolist():
-            if not (reach := _enclosing_radius(pieces, b)) > (1.0 + _RADIUS_TOLERANCE) * radius:
-                continue
-            raise DeclarationProblem(
-                f"body {names[b]!r} does not fit into {surfaces[s]!r}: the smallest circle around "
-                f"it has a radius of {reach:.6g}, and the hollow one of {radius:.6g}",
-                advice="make the circle larger, or the body smaller",
-                loc=("bodies", owners[b], "shape"),
-            )
+            reach = _enclosing_radius(pieces, b)
+            if reach > (1.0 + _RADIUS_TOLERANCE) * radius:
+                raise DeclarationProblem(
+                    f"body {names[b]!r} does not fit into {surfaces[s]!r}: the smallest circle "
+                    f"around it has a radius of {reach:.6g}, and the hollow one of {radius:.6g}",
+                    advice="make the circle larger, or the body smaller",
+                    loc=("bodies", owners[b], "shape"),
+                )
         for b in np.setdiff1d(bodies[meets], bodies[inside])[:1].tolist():
             raise DeclarationProblem(
                 f"body {names[b]!r} starts outside the hollow circle {surfaces[s]!r}",

@@ -330,22 +330,19 @@ class RigidBodyRun(SteppedSystem):
         """
         if self._capture(j, joint, state[2 * self.numbers.size :]):
             return
-        open_by, allowed = self._joint_openings(state, time)
+        led = self._prescribed.poses(time, state[2 * self.numbers.size :])
+        open_by, allowed = self._joint_openings(state, led)
         if open_by[j] > allowed[j]:
             raise NoConsistentMode(
                 f"joint {joint!r} closes at t = {time:.6g} while its points are {open_by[j]:.3g} "
                 "apart; write rest: captured, or let enabled hold where they meet"
             )
 
-    def _joint_openings(
-        self, state: Array, time: float, led: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Return by how much joints (j,) are open, in radians at angles, and the tolerances.
+    def _joint_openings(self, state: Array, led: Array) -> tuple[Array, Array]:
+        """Return by how much joints (j,) are open (radians at angles), and tolerances.
 
-        These are motions of two steps. `led` (l, 3): poses of led bodies if not those at `time`.
+        These are motions of two steps. `led` (l, 3): poses of led bodies.
         """
-        if led is None:
-            led = self._prescribed.poses(time, state[2 * self.numbers.size :])
         moved = self.numbers.moved(state, np.stack([led, np.zeros_like(led)]))
         joints, size = self.numbers.joints, float(self.numbers.sizes[: self._moving].max())
         _, ends, rates = joint_ends(joints, moved)
@@ -522,13 +519,14 @@ class RigidBodyRun(SteppedSystem):
 
     def _check_jumps(self, start: float, state: Array) -> None:
         """Raise `NoConsistentMode` if a path has jumped into a body, or off a closed joint."""
-        jumped = self._prescribed.jumped(start, state[2 * self.numbers.size :])
+        remembered = state[2 * self.numbers.size :]
+        jumped = self._prescribed.jumped(start, remembered)
         if not jumped or self._prescribed.end is None:
             return
         advice = "write a path that moves there in a time, or by a variable that has a flow"
         joints = self.numbers.joints
-        before, _ = self._joint_openings(state, start, self._prescribed.end[1])
-        open_by, allowed = self._joint_openings(state, start)
+        before, _ = self._joint_openings(state, self._prescribed.end[1])
+        open_by, allowed = self._joint_openings(state, self._prescribed.poses(start, remembered))
         off = np.flatnonzero((open_by - before > allowed) & joints.on[joints.owners])
         for j in off[:1].tolist():
             unit = " radians" if joints.kinds[j] >= TURN else ""
