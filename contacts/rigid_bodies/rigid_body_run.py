@@ -313,30 +313,33 @@ class RigidBodyRun(SteppedSystem):
             if self.numbers.joints.on[j]:
                 self._capture(j, joint, remembered)
 
-    def _capture(self, j: int, joint: str, remembered: Array) -> bool:
-        """Let a joint hold the pose that it has captured; return whether it captures a place."""
+    def _capture(self, j: int, joint: str, remembered: Array) -> None:
+        """Let a joint hold the pose that it has captured."""
         joints, pose = self.numbers.joints, self._prescribed.captured(joint, remembered)
         if "turn" in pose:
             joints.sizes[(joints.owners == j) & (joints.kinds == TURN), 0] = pose["turn"]
         if "x" in pose and isinstance(self._prescribed.joints[joint].to, Point):
             joints.points[j, 1] = pose["x"], pose["y"]
-        return "x" in pose or "y" in pose
 
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Close a joint at the pose that it has captured.
 
-        Raises `NoConsistentMode` if it captures no place, and its points are apart by more than a
-        step moves them.
+        Raises `NoConsistentMode` if it is open by more than a step moves its points.
         """
-        if self._capture(j, joint, state[2 * self.numbers.size :]):
-            return
-        led = self._prescribed.poses(time, state[2 * self.numbers.size :])
-        open_by, allowed = self._joint_openings(state, led)
-        if open_by[j] > allowed[j]:
-            raise NoConsistentMode(
-                f"joint {joint!r} closes at t = {time:.6g} while its points are {open_by[j]:.3g} "
-                "apart; write rest: captured, or let enabled hold where they meet"
+        joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
+        self._capture(j, joint, remembered)
+        open_by, allowed = self._joint_openings(state, self._prescribed.poses(time, remembered))
+        for row in np.flatnonzero((open_by > allowed) & (joints.owners == j))[:1].tolist():
+            problem = (
+                f"its points are {open_by[row]:.3g} apart; write rest: captured, or let enabled "
+                "hold where they meet"
             )
+            if joints.kinds[row] >= TURN:
+                problem = (
+                    f"its angle is {open_by[row]:.3g} radians beyond its limits; let enabled hold "
+                    "within them"
+                )
+            raise NoConsistentMode(f"joint {joint!r} closes at t = {time:.6g} while {problem}")
 
     def _joint_openings(self, state: Array, led: Array) -> tuple[Array, Array]:
         """Return by how much joints (j,) are open (radians at angles), and tolerances.

@@ -621,6 +621,22 @@ regions:
     assert final[2] == pytest.approx(turned, abs=1e-3)
 
 
+@pytest.mark.parametrize("rest", ["", "rest: captured, "])
+def test_a_joint_that_closes_beyond_its_limits_ends_the_run(rest: str) -> None:
+    bodies = f"""
+  pivot: {{position: [0, 0], shape: {{disc: 0.05}}}}
+  bob: {{{BOB}, start: {{angle: START}}}}
+"""
+    law = "  all: {bodies: [bob], friction: 0.3, restitution: 0}"
+    joint = f"{{point: {{body: bob}}, to: {{body: pivot}}, {LIMITS}, {rest}enabled: time >= 1e-3}}"
+    more = f"joints: {{j: {joint}}}"
+    trace = _run(bodies.replace("START", "1"), law, more, throw=False).trace
+    assert trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "while its angle is 0.8 radians beyond its limits" in str(trace.message)
+    final = _run(bodies.replace("START", "0.1"), law, more).trace.final
+    assert final[2] == pytest.approx(0.1, abs=1e-9)
+
+
 @pytest.mark.parametrize(("pivot", "other"), [("0", "s"), ("0.1*s", "0")])
 def test_a_jump_that_opens_no_joint_ends_no_run(pivot: str, other: str) -> None:
     # The landing leaves the angle 0.00115 beyond its limit.
