@@ -15,13 +15,17 @@ field; `statechart.documents.validation.validate` turns it into a `DeclarationEr
 from __future__ import annotations
 
 import difflib
+import heapq
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import KW_ONLY, InitVar, dataclass
 from typing import ClassVar
 
 Loc = tuple[str | int, ...]
 """Keys and indices that lead to a place in a document."""
+
+MAX_PROBLEMS = 20
+"""Greatest number of listed problems; the search for more stops, as each takes time for advice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +69,7 @@ class DeclarationError(StatechartError):
     line, column : int, optional
         The place, counted from 1.
     others : tuple of DeclarationError
-        Further errors of the same document, in its order; `str` prints them below this one.
+        Further errors of the same document, in its order; `str` prints up to `MAX_PROBLEMS` in all.
     """
 
     message: str
@@ -83,7 +87,10 @@ class DeclarationError(StatechartError):
         place = [str(part) for part in (self.source, self.line, self.column) if part]
         prefix = ":".join(place) + ": " if self.source else ""
         own = prefix + "; ".join(filter(None, (self.message, self.advice)))
-        return "\n".join([own, *map(str, self.others)])
+        listed = [own, *map(str, self.others[: MAX_PROBLEMS - 1])]
+        more = len(self.others) >= MAX_PROBLEMS
+        note = [f"only {MAX_PROBLEMS} problems are listed: there are more"] if more else []
+        return "\n".join([*listed, *note])
 
 
 @dataclass(eq=False, repr=False)
@@ -157,7 +164,7 @@ class DeclarationProblem(ValueError):
 
 
 class Findings:
-    """Collects independent problems, and raises them as one error.
+    """Collects independent problems, and raises them as one error; at once, if they are too many.
 
     ::
 
@@ -178,6 +185,8 @@ class Findings:
         if not isinstance(error, DeclarationProblem):
             return False
         self._found += [error, *error.others]
+        if len(self._found) > MAX_PROBLEMS:
+            self.check()
         return True
 
     def check(self) -> None:
@@ -284,14 +293,20 @@ class Unsupported(SimulationError):
 
 
 _NUMBERS = re.compile(r"(\D*)(\d*)")
+# Names compared with a wrong one, about 10 us each.
+_MAX_COMPARED = 1000
 
 
 def close_matches(name: str, known: Iterable[str]) -> str:
     """Return advice: the names in `known` that `name` may have meant, and all of them."""
-    # Numbers in names count: grain2 is before grain10.
-    names = sorted(known, key=lambda one: [(a, len(n), n) for a, n in _NUMBERS.findall(one)])
+    names = list(known)
     if numbered := _with_other_number(name, names):
         return numbered
+    if len(names) > _MAX_COMPARED:
+        letters = {*name}
+        names = heapq.nsmallest(_MAX_COMPARED, names, key=lambda one: len(letters ^ {*one}))
+    # Numbers in names count: grain2 is before grain10.
+    names.sort(key=lambda one: [(a, len(n), n) for a, n in _NUMBERS.findall(one)])
     close = difflib.get_close_matches(name, names, n=3)
     listed = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
     meant = f"did you mean {' or '.join(repr(match) for match in close)}? " if close else ""
@@ -312,14 +327,14 @@ def owner_or_matches(region: str, name: str, owners: Mapping[str, Collection[str
     )
 
 
-def _with_other_number(name: str, names: Sequence[str]) -> str:
+def _with_other_number(name: str, names: Collection[str]) -> str:
     """Return advice on names that differ from `name` in their number; "" for none."""
     split = re.fullmatch(r"(.+?)\d*((?:\.\w+)?)", name)
     if split is None:
         return ""
     stem, part = map(re.escape, split.groups())
     alike = re.compile(rf"{stem}\d+{part}")
-    found = [one for one in names if alike.fullmatch(one)]
+    found = sorted(filter(alike.fullmatch, names), key=lambda one: (len(one), one))
     return f"there are {found[0]} to {found[-1]}" if len(found) > 1 else ""
 
 

@@ -33,7 +33,7 @@ class ActiveContacts(NamedTuple):
     keys: Ints  # (c, 2): see `WarmStart`.
     # (c, 4): target gap; excess of the gap over it or, in an impact, over the other; slip error of
     # the previous impulses; excess over the previous target gap, of a compliant one the gap at the
-    # start of the step.
+    # start of the step; the last two of a joint: velocities that close its gaps.
     levels: Array
     laws: Ints  # (c,): row of `BodyNumbers.materials`; -1: a joint.
     materials: Array  # (c, 3): current cone edge (2), restitution.

@@ -134,9 +134,13 @@ def candidate_pair(
     other = surfaces.carriers[s]
     material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
     rolls, size = pieces.radii[p] > 0.0, pieces.sizes[p]
-    slowly = since * relative_speed(numbers, mid, p, q) <= CROSSED * pieces.cores[p]
+    # Ground has no other side.
+    slowly, turns, way = True, False, CROSSED * pieces.cores[p]
+    if surfaces.kinds[s] in (PLATE, ROUND):
+        slowly = since * relative_speed(numbers, mid, p, q) <= way
+        turns = since * turning_speed(numbers, mid, p, p) > 2.0 * way
     return CandidatePair(
-        p, q, b, other, key, material, False, False, slowly, False, rolls, size, within
+        p, q, b, other, key, material, False, False, slowly, turns, rolls, size, within
     )
 
 

@@ -117,7 +117,8 @@ def _write_points(
             continue
         if keeps:
             active.open_by[m, d] = apart
-        active.bias[m, d] += (apart - active.open_by[m, d]) / h
+        active.levels[m, 2 + d] = (apart - active.open_by[m, d]) / h
+        active.bias[m, d] += active.levels[m, 2 + d]
 
 
 @kernel
@@ -205,7 +206,8 @@ def _write_rows(
     if holds in (ROD, TURN):
         if keeps:
             active.open_by[m, 0] = gap
-        active.bias[m, 0] = (gap - active.open_by[m, 0]) / h - bend
+        active.levels[m, 2] = (gap - active.open_by[m, 0]) / h
+        active.bias[m, 0] = active.levels[m, 2] - bend
         return
     lasting = place >= 0 and warm.contacts[place, 1] == 1.0
     level = warm.contacts[place, 0] if place >= 0 else 0.0
@@ -244,7 +246,8 @@ def add_joints(
             # It was off then.
             place = -1
         active.landings[m] = 1.0 if place < 0 else 0.0
-        active.levels[m, 0] = active.levels[m, 1] = 0.0
+        for d in range(4):
+            active.levels[m, d] = 0.0
         _write_rows(numbers, j, mid, warm, place, h, m, active)
         if on and active.bodies[m, 1] < 0:
             before, after = mid.old_rates[other], mid.free_rates[other]

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from contacts.scene.joints import Path
+from contacts.scene.modes import Row
 from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
@@ -23,8 +24,6 @@ from statechart.formulas.formula import parse
 Vector = tuple[sp.Expr, sp.Expr]
 Frame = tuple[Vector, sp.Expr]
 """Origin and angle."""
-Row = dict[int, sp.Expr]
-"""Sparse row: the index of a coordinate -> its entry; all others are zero."""
 
 
 @dataclass(frozen=True, eq=False)

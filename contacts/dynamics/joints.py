@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.geometry import Row
+from contacts.scene.modes import Row
 from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales
 from contacts.solvers.impulse_coupling import label_coordinates
 from statechart.arrays import Array, Bools

@@ -15,7 +15,6 @@ import sympy as sp
 from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import (
     Geometry,
-    Row,
     Vector,
     in_world,
     linear_combination,
@@ -36,7 +35,7 @@ from contacts.dynamics.parameters import (
 from contacts.scene.couplings import CouplingSymbols, Rolling
 from contacts.scene.expansion import Stop, is_switched, limit_contacts, reach_of
 from contacts.scene.joints import Joint
-from contacts.scene.modes import ContactSymbols
+from contacts.scene.modes import ContactSymbols, Row
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.states import CLOSED, DISENGAGED, OFF

@@ -12,9 +12,9 @@ from functools import partial
 
 import sympy as sp
 
-from contacts.dynamics.geometry import Row
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import MASS_UNIT
+from contacts.scene.modes import Row
 from statechart.automaton.reduction import Coordinates, Elimination
 from statechart.formulas.formula import parse
 

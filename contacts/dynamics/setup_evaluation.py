@@ -242,7 +242,7 @@ class SceneNumbers:
         if not self._redundant:
             return values, ()
         redundant = np.zeros(len(self._redundant), np.bool_)
-        jacobian = np.zeros((len(redundant), self.scale_tape.size // 2))
+        jacobian = np.zeros((len(redundant), len(self._mechanics.q)))
         rows, columns = self._entries.T
         jacobian[rows, ~columns] = self._joint_tape.at(initial, values, 0.0)
         for group in self._groups:

@@ -198,7 +198,7 @@ class SnapshotTape:
             [
                 number
                 for sign in self.signs
-                for number in (sign.slip, sign.bias, sign.limit, *mechanics.dense([dict(sign.row)]))
+                for number in (sign.slip, sign.bias, sign.limit, *mechanics.dense([sign.row]))
             ],
         ]
         ends = accumulate(map(len, quantities), initial=0)
@@ -389,5 +389,5 @@ def sign_frictions(
         if any(sp.expand(e + limit * row.get(i, 0)) != 0 for i, e in enumerate(effects)):
             return ()
         name = to_text(sp.sign(slip).xreplace(names)).replace(" ", "")
-        found.append(SignFriction(name, slip, mechanics.drift(slip), limit, (*row.items(),)))
+        found.append(SignFriction(name, slip, mechanics.drift(slip), limit, row))
     return tuple(found)

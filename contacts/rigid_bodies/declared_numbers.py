@@ -247,13 +247,13 @@ def joint_ends(joints: JointNumbers, moved: Array) -> tuple[Array, Array, Array]
     return arms, poses[..., :2] + arms, rates[..., :2] + turned
 
 
-def openings(joints: JointNumbers, ends: Array) -> Array:
-    """Return the distances (j,) by which joints are open; ropes up to their length are not."""
+def joint_openings(joints: JointNumbers, ends: Array, angles: Array) -> Array:
+    """Return by how much joints (j,) are open: distances, and radians of rows of angles."""
     kinds, way = joints.kinds, ends[:, 0] - ends[:, 1]
-    too_far = np.hypot(*way.T) - joints.sizes[:, 0]
-    open_by: Array = np.hypot(*(way * _HELD[kinds, :2]).T)
-    open_by[kinds == ROD] = np.abs(too_far[kinds == ROD])
-    open_by[kinds == ROPE] = np.maximum(too_far[kinds == ROPE], 0.0)
+    beyond = np.where(kinds < TURN, np.hypot(*way.T), angles) - joints.sizes[:, 0]
+    beyond[kinds == LEAST] *= -1.0
+    far = np.where(np.isin(kinds, (ROD, TURN)), np.abs(beyond), np.maximum(beyond, 0.0))
+    open_by: Array = np.where(kinds < ROD, np.hypot(*(way * _HELD[kinds, :2]).T), far)
     return open_by
 
 
@@ -284,18 +284,16 @@ def closed_joints(
     way, parting = ends[:, 1] - ends[:, 0], speeds[:, 1] - speeds[:, 0]
     # No negative zeros.
     across, held = way * _HELD[joints.kinds, :2] + 0.0, parting * _HELD[joints.kinds, :2] + 0.0
-    open_by = openings(joints, ends)
     one, other = joints.bodies.T
     angles = moved[0, one, 2] - moved[0, other, 2]
-    beyond = np.where(joints.kinds == LEAST, sizes[:, 0] - angles, angles - sizes[:, 0])
-    beyond[joints.kinds < LEAST] = 0.0
     sizes[joints.kinds == TURN, 0] = angles[joints.kinds == TURN]
+    open_by = joint_openings(joints._replace(sizes=sizes), ends, angles)
     for j, owner in enumerate(joints.owners.tolist()):
         name, kind = [*scene.joints][owner], int(joints.kinds[j])
         loc = ("joints", name)
         if not joints.on[owner]:
             continue
-        if beyond[j] > _ANGLE_NEAR:
+        if kind >= TURN and open_by[j] > _ANGLE_NEAR:
             raise DeclarationProblem(
                 f"the relative angle of joint {name!r} is {angles[j]:.7g} at the start, beyond its "
                 f"limit {sizes[j, 0]:.7g}",
@@ -315,7 +313,7 @@ def closed_joints(
                 advice=f"write {key}: {far:.7g}, or start the body elsewhere",
                 loc=(*loc, key),
             )
-        if open_by[j] > near:
+        if kind < ROD and open_by[j] > near:
             at, end = ("({:.6g}, {:.6g})".format(*point) for point in ends[j])
             raise DeclarationProblem(
                 f"joint {name!r} is open at the start: its point is at {at}, what it is held to at "

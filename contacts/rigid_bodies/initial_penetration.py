@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import combinations
 
 import numpy as np
 
-from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.surfaces import HOLLOW
 from contacts.rigid_bodies.declared_numbers import rotated
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
@@ -20,6 +19,8 @@ from statechart.errors import DeclarationProblem
 _LEFT = 0.1
 # Relative round-off of depths.
 _SAME_GAP = 1e-9
+# Excess of the radius of an enclosing circle, relative to a hollow one, that counts as none.
+_RADIUS_TOLERANCE = 1e-6
 # Bodies for which a way out is searched, and moves of each.
 _MOVES = 20
 # Number of copies above which the advice is a grid.
@@ -76,8 +77,7 @@ def check_penetration(
         if out and not contacts.is_covered(b):
             break
     else:
-        b = next(iter(deep))
-        out = _misfit(numbers, surfaces, b, int(contacts.deepest[b])) or _STUCK
+        b, out = next(iter(deep)), _STUCK
     where = deepest_of(b)
     if contacts.is_covered(b):
         b, where, out = _covered(numbers, contacts, names, b, where)
@@ -93,30 +93,23 @@ def check_penetration(
     )
 
 
-def _misfit(numbers: BodyNumbers, surfaces: Sequence[str], b: int, q: int) -> str:
-    """Return advice if body b is too large for the hollow circle with piece number q; else ""."""
-    pieces = numbers.pieces
-    s, (first, end) = q - len(pieces.bodies), pieces.begins[b : b + 2]
+def _enclosing_radius(pieces: PieceNumbers, b: int) -> float:
+    """Return the radius of the smallest circle around body b: a convex minimum over its centre."""
+    from scipy.optimize import minimize_scalar
+
+    first, end = pieces.begins[b : b + 2]
     corners = pieces.vertices[pieces.firsts[first] : pieces.firsts[end]]
-    if s < 0 or numbers.surfaces.kinds[s] != HOLLOW or not len(corners):
-        return ""
-    radius, largest = float(numbers.surfaces.numbers[s, 2]), _enclosing_radius(corners)
-    if not largest > radius:
-        return ""
-    return (
-        f"it does not fit: the smallest circle around it has a radius of {largest:.6g}, and "
-        f"{surfaces[s]!r} of {radius:.6g}; make the circle larger, or the body smaller"
-    )
+    discs = first + np.flatnonzero(pieces.radii[first:end])
+    x, y = np.concatenate([corners, pieces.middles[discs]]).T
+    radii = np.append(np.zeros(len(corners)), pieces.radii[discs])
+    size = float(pieces.spans[first:end].max())
 
+    def smallest(radius: Callable[[float], float]) -> float:
+        options = {"xatol": 1e-4 * _RADIUS_TOLERANCE * size}
+        found = minimize_scalar(radius, bounds=(-size, size), method="bounded", options=options)
+        return float(found.fun)
 
-def _enclosing_radius(points: Array) -> float:
-    """Return the radius of the smallest circle around points: the largest of any three (Helly)."""
-    three = points[np.array([*combinations(range(len(points)), 3)])]
-    sides = np.sort(np.linalg.norm(three - np.roll(three, 1, axis=1), axis=2), axis=1)
-    (dx, dy), (ex, ey) = (three[:, 1] - three[:, 0]).T, (three[:, 2] - three[:, 0]).T
-    acute = sides[:, 2] ** 2 < sides[:, 0] ** 2 + sides[:, 1] ** 2
-    sides[acute, 2] = sides[acute].prod(axis=1) / np.abs(dx * ey - dy * ex)[acute]
-    return 0.5 * float(sides[:, 2].max())
+    return smallest(lambda u: smallest(lambda v: np.max(np.hypot(x - u, y - v) + radii)))
 
 
 def check_containers(
@@ -128,7 +121,8 @@ def check_containers(
 ) -> None:
     """Check that bodies fit into the hollow circles that they collide with, and start in them.
 
-    Compliant contacts allow any depth inside. `poses` (b, 3) are those of all bodies.
+    Compliant contacts allow any depth inside, but no body that is too large. `poses` (b, 3) are
+    those of all bodies.
 
     Raises `DeclarationProblem` if a body is too large, or starts outside.
     """
@@ -141,14 +135,17 @@ def check_containers(
         meets &= (bodies != carrier) & (bodies < len(numbers.inverse))
         centre = poses[carrier, :2] + rotated(poses[carrier, 2], middle)
         inside = np.hypot(*(centres - centre).T) < radius
-        for p in np.flatnonzero(meets & (pieces.cores > radius))[:1].tolist():
-            raise DeclarationProblem(
-                f"body {names[bodies[p]]!r} does not fit into {surfaces[s]!r}: it reaches "
-                f"{pieces.cores[p]:.6g} around its centre, and the circle has a radius of "
-                f"{radius:.6g}",
-                advice="make the circle larger, or the body smaller",
-                loc=("bodies", owners[bodies[p]], "shape"),
-            )
+        # Copies have the outline of their kind.
+        large = np.unique(bodies[meets & (pieces.spans > radius)])
+        for b in large[np.unique(numbers.kinds[large], return_index=True)[1]].tolist():
+            reach = _enclosing_radius(pieces, b)
+            if reach > (1.0 + _RADIUS_TOLERANCE) * radius:
+                raise DeclarationProblem(
+                    f"body {names[b]!r} does not fit into {surfaces[s]!r}: the smallest circle "
+                    f"around it has a radius of {reach:.6g}, and the hollow one of {radius:.6g}",
+                    advice="make the circle larger, or the body smaller",
+                    loc=("bodies", owners[b], "shape"),
+                )
         for b in np.setdiff1d(bodies[meets], bodies[inside])[:1].tolist():
             raise DeclarationProblem(
                 f"body {names[b]!r} starts outside the hollow circle {surfaces[s]!r}",

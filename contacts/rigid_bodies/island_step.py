@@ -456,6 +456,22 @@ def _follow_arms(
 
 
 @kernel
+def _restore_pushes(active: ActiveContacts, island: Island) -> None:
+    """Reset the impulses of an island to those of the previous step."""
+    for a in range(len(island.members)):
+        copy_numbers(active.pushes[island.members[a]], island.chosen[a])
+
+
+@kernel
+def _joint_closes(active: ActiveContacts, members: Ints) -> bool:
+    """Return whether a joint of an island closes in this step, or the run begins."""
+    closes = False
+    for i in members:
+        closes = closes or (active.materials[i, 0] < 0.0 and active.landings[i] == 1.0)
+    return closes
+
+
+@kernel
 def close_joints(
     numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, h: float,
     with_impacts: bool, bounds: tuple[float, float, float], result: tuple[float, int, bool],
@@ -465,6 +481,9 @@ def close_joints(
     The rotation of an arm depends on the impulses: SHAKE (Ryckaert, Ciccotti and Berendsen 1977),
     whose energy stays bounded, unlike with arms extrapolated from the start of the step. If
     iterations cycle, as between stick and slip, those with the least joint work are taken.
+
+    Redundant joints contradict each other until the bias has the rotation after a closing. Opposed
+    impulses of such iterations would remain: each one starts from those of the previous step.
 
     `with_impacts`: see `_follow_arms`; `bounds`: residual tolerance, bound of the work (see
     `island_impulses`), residual tolerance of the whole step; `result`: that of `island_impulses`
@@ -476,6 +495,7 @@ def close_joints(
     start, unforced, bias, chosen = island.start, island.unforced, island.bias, island.chosen
     turns, best, first = np.empty((2, len(numbers.sizes))), np.empty_like(chosen), bias.copy()
     best_residual, best_softened = residual, softened
+    closes = _joint_closes(space.active, island.members)
     for b in range(len(numbers.sizes)):
         turns[0, b] = h * space.mid.old_rates[b, 2]
     for _ in range(_TRIALS):
@@ -495,6 +515,8 @@ def close_joints(
             copy_rows(chosen, best)
         if residual > tolerance or idle == _IDLE:
             break
+        if closes:
+            _restore_pushes(space.active, island)
         residual, further, softened = island_impulses(
             contacts, start, unforced, bias, island.rebounds, chosen, tolerance, bound, True
         )
@@ -506,8 +528,7 @@ def close_joints(
     if space.joint_energy[1] == 0.0:
         # Wedged joints press without bound: extrapolate arms from the step's start, without work.
         copy_rows(first, bias)
-        for a in range(len(chosen)):
-            copy_numbers(space.active.pushes[island.members[a]], chosen[a])
+        _restore_pushes(space.active, island)
         best_residual, further, best_softened = island_impulses(
             contacts, start, unforced, bias, island.rebounds, chosen, tolerance, bound, False
         )
@@ -554,14 +575,15 @@ def _write_slips(contacts: ContactRows, island: Island, none: float) -> None:
 def _remove_landings(active: ActiveContacts, members: Ints, impulses: Array, least: Array) -> bool:
     """Remove landings from the velocities `least` (m, 2) without impulses; return if there are any.
 
-    Contacts that bear, and the ends of joints that close, are then at rest: what is left is what
-    forces and rotation give in the step.
+    Contacts that bear, and the ends of all joints if one closes, are then at rest: what is left is
+    what forces and rotation give in the step. Gaps of joints, of the size of round-off or of the
+    residual, are not closed: redundant joints would contradict each other.
     """
-    lands = False
+    lands, closes = False, _joint_closes(active, members)
     for a in range(len(members)):
         i = members[a]
-        for d in range(2 if active.materials[i, 0] < 0.0 else 0):
-            closing = active.landings[i] * (active.before[i, d] - active.bias[i, d])
+        for d in range(2 if closes and active.materials[i, 0] < 0.0 else 0):
+            closing = active.before[i, d] - active.bias[i, d] + 2.0 * active.levels[i, 2 + d]
             least[a, d] -= closing
             lands = lands or abs(closing) > _LANDS * abs(least[a, d])
         if (active.laws[i] < 0 and active.rolling_roles[i] != RESISTS) or impulses[a, 0] <= 0.0:
@@ -692,6 +714,9 @@ def solve_islands(
         if forces and (joined or not quiet):
             least, pushes = active.free[members] + active.bias[members], active.pushes[members]
             lands = joined and _remove_landings(active, members, chosen, least)
+            if _joint_closes(active, members):
+                # Redundant joints would keep a part of the impulses that stop them.
+                pushes = np.zeros_like(pushes)
             if lands or not quiet:
                 pushes = forces_without_impacts(contacts, hit, least, pushes, tolerance, fast)
                 for a in range(size):

@@ -98,13 +98,14 @@ class PrescribedMotion:
     def __init__(self, mechanics: BodyMechanics, paths: Paths, values: Array) -> None:
         self._mechanics, self._paths, self._values = mechanics, paths, values
         self.controlled = bool(mechanics.scene.regions)
-        self.joints, self.leads = mechanics.scene.joints, paths.leads
+        self.scene, self.joints = mechanics.scene, mechanics.scene.joints
+        self.leads = paths.leads
         # Poses at the last detection, and its step size.
         self._last: tuple[Array, float] | None = None
         self._saved: tuple[Array, float] | None = None
         # Times and controller variables at the ends of the prescribed steps; poses at the last end.
         self._ends: tuple[Array, Array] | None = None
-        self._end: tuple[float, Array] | None = None
+        self.end: tuple[float, Array] | None = None
         self._saved_end: tuple[float, Array] | None = None
         self.switch(mechanics.scene.controlled.initial)
 
@@ -128,11 +129,11 @@ class PrescribedMotion:
 
     def save(self) -> None:
         """Let `forget` revert all steps from here on."""
-        self._saved, self._saved_end = self._last, self._end
+        self._saved, self._saved_end = self._last, self.end
 
     def forget(self) -> None:
         """Revert the last steps."""
-        self._last, self._end = self._saved, self._saved_end
+        self._last, self.end = self._saved, self._saved_end
 
     def restart(self) -> None:
         """Let led bodies move from here on as if they had always moved so."""
@@ -175,9 +176,9 @@ class PrescribedMotion:
 
     def jumped(self, start: float, remembered: Array) -> list[str]:
         """Return the names whose path at an instant differs from the end of the last step."""
-        if self._end is None or abs(self._end[0] - start) > _SAME_MOTION * self._h:
+        if self.end is None or abs(self.end[0] - start) > _SAME_MOTION * self._h:
             return []
-        before, now = self._end[1], self.poses(start, remembered)
+        before, now = self.end[1], self.poses(start, remembered)
         far = np.abs(now - before).max(axis=1) > _JUMPED * np.abs(now).max(initial=0.0)
         return [name for name, away in zip(self._paths.names, far.tolist(), strict=True) if away]
 
@@ -198,4 +199,4 @@ class PrescribedMotion:
             assert self._ends is not None
             time, remembered = float(self._ends[0][count - 1]), self._ends[1][count - 1]
             if self.controlled:
-                self._end = time, self.poses(time, remembered)
+                self.end = time, self.poses(time, remembered)

@@ -19,7 +19,13 @@ from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
-from contacts.rigid_bodies.declared_numbers import joint_ends, openings, rotated, surface_title
+from contacts.rigid_bodies.declared_numbers import (
+    implied_remarks,
+    joint_ends,
+    joint_openings,
+    rotated,
+    surface_title,
+)
 from contacts.rigid_bodies.default_step import inner_radii
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
@@ -273,6 +279,7 @@ class RigidBodyRun(SteppedSystem):
         self._before: tuple[float, float, StepTooLarge | UnsolvedImpulses | None]
         self._before = 0.0, 0.0, None
         self._no_ground = MissingGround(names, surfaces, numbers)
+        self._implied = dict[str, None]()  # Warnings of redundant joints.
         self._penetration = Penetration(names, numbers, start_depth)
         # The rotation of a centred disc is irrelevant.
         pieces, seen = numbers.pieces, np.ones(len(names), dtype=np.bool_)
@@ -286,12 +293,18 @@ class RigidBodyRun(SteppedSystem):
         """Change the states of controllers; see `SteppedSystem`."""
         _, after, time = at
         self._prescribed.switch(states)
-        on = self.numbers.joints.on
+        on, closes = self.numbers.joints.on, False
         for j, joint in enumerate(self._prescribed.joints):
             if joint in states:
                 if states[joint] == CLOSED and not on[j]:
                     self._close(j, joint, after, time)
+                    closes = True
                 on[j] = states[joint] == CLOSED
+        if closes:
+            led = self._prescribed.poses(time, after[2 * self.numbers.size :])
+            [poses, _] = self.numbers.moved(after, np.stack([led, np.zeros_like(led)]))
+            remarks = implied_remarks(self._prescribed.scene, self.numbers, poses)
+            self._implied |= dict.fromkeys(remarks)
         if not self._prescribed.leads:
             return {}, False
         found = self.detect(after, time, _INSTANT * self._length)
@@ -309,44 +322,46 @@ class RigidBodyRun(SteppedSystem):
             if self.numbers.joints.on[j]:
                 self._capture(j, joint, remembered)
 
-    def _capture(self, j: int, joint: str, remembered: Array) -> bool:
-        """Let a joint hold the pose that it has captured; return whether it captures a place."""
+    def _capture(self, j: int, joint: str, remembered: Array) -> None:
+        """Let a joint hold the pose that it has captured."""
         joints, pose = self.numbers.joints, self._prescribed.captured(joint, remembered)
         if "turn" in pose:
             joints.sizes[(joints.owners == j) & (joints.kinds == TURN), 0] = pose["turn"]
         if "x" in pose and isinstance(self._prescribed.joints[joint].to, Point):
             joints.points[j, 1] = pose["x"], pose["y"]
-        return "x" in pose or "y" in pose
 
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Close a joint at the pose that it has captured.
 
-        Raises `NoConsistentMode` if it captures no place, and its points are apart by more than a
-        step moves them.
+        Raises `NoConsistentMode` if it is open by more than a step moves its points.
         """
-        if self._capture(j, joint, state[2 * self.numbers.size :]):
-            return
-        distance = self._apart(state, time)[j]
-        if distance > 0.0:
-            raise NoConsistentMode(
-                f"joint {joint!r} closes at t = {time:.6g} while its points are {distance:.3g} "
-                "apart; write rest: captured, or let enabled hold where they meet"
+        joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
+        self._capture(j, joint, remembered)
+        open_by, allowed = self._joint_openings(state, self._prescribed.poses(time, remembered))
+        for row in np.flatnonzero((open_by > allowed) & (joints.owners == j))[:1].tolist():
+            problem = (
+                f"its points are {open_by[row]:.3g} apart; write rest: captured, or let enabled "
+                "hold where they meet"
             )
+            if joints.kinds[row] >= TURN:
+                problem = (
+                    f"its angle is {open_by[row]:.3g} radians beyond its limits; let enabled hold "
+                    "within them"
+                )
+            raise NoConsistentMode(f"joint {joint!r} closes at t = {time:.6g} while {problem}")
 
-    def _apart(self, state: Array, time: float) -> Array:
-        """Return by how much joints (j,) are open; 0 for less than a step moves their points."""
-        led = self._prescribed.poses(time, state[2 * self.numbers.size :])
+    def _joint_openings(self, state: Array, led: Array) -> tuple[Array, Array]:
+        """Return by how much joints (j,) are open (radians at angles), and tolerances.
+
+        These are motions of two steps. `led` (l, 3): poses of led bodies.
+        """
         moved = self.numbers.moved(state, np.stack([led, np.zeros_like(led)]))
-        joints = self.numbers.joints
-        _, ends, speeds = joint_ends(joints, moved)
-        distances, size = openings(joints, ends), float(self.numbers.sizes[: self._moving].max())
-        speeds, turns, welds = np.hypot(*speeds.T), moved[:, joints.bodies, 2], joints.kinds == TURN
-        distances[welds] = (
-            size * np.abs(turns[0, :, 0] - turns[0, :, 1] - joints.sizes[:, 0])[welds]
-        )
-        speeds[:, welds] = size * np.abs(turns[1]).T[:, welds]
-        allowed = 2.0 * self._length * speeds.sum(axis=0) + _JUMPED_INTO * size
-        return np.where(distances > allowed, distances, 0.0)
+        joints, size = self.numbers.joints, float(self.numbers.sizes[: self._moving].max())
+        _, ends, rates = joint_ends(joints, moved)
+        turns, is_angle = moved[:, joints.bodies, 2], joints.kinds >= TURN
+        speeds = np.where(is_angle, np.abs(turns[1]).T, np.hypot(*rates.T)).sum(axis=0)
+        allowed = 2.0 * self._length * speeds + _JUMPED_INTO * np.where(is_angle, 1.0, size)
+        return joint_openings(joints, ends, turns[0, :, 0] - turns[0, :, 1]), allowed
 
     def forget(self) -> None:
         """Revert the last steps."""
@@ -443,6 +458,7 @@ class RigidBodyRun(SteppedSystem):
             digit = 10.0 ** math.floor(math.log10(finest))
             advice = f"; take steps of {math.floor(finest / digit) * digit:.1g} or less"
         return (
+            *self._implied,
             *self._no_ground.remarks,
             *(text + advice for text, _ in too_long),
         )
@@ -516,17 +532,21 @@ class RigidBodyRun(SteppedSystem):
 
     def _check_jumps(self, start: float, state: Array) -> None:
         """Raise `NoConsistentMode` if a path has jumped into a body, or off a closed joint."""
-        jumped = self._prescribed.jumped(start, state[2 * self.numbers.size :])
-        if not jumped:
+        remembered = state[2 * self.numbers.size :]
+        jumped = self._prescribed.jumped(start, remembered)
+        if not jumped or self._prescribed.end is None:
             return
         advice = "write a path that moves there in a time, or by a variable that has a flow"
         joints = self.numbers.joints
-        apart = self._apart(state, start) * joints.on[joints.owners]
-        if apart.any():
+        before, _ = self._joint_openings(state, self._prescribed.end[1])
+        open_by, allowed = self._joint_openings(state, self._prescribed.poses(start, remembered))
+        off = np.flatnonzero((open_by - before > allowed) & joints.on[joints.owners])
+        for j in off[:1].tolist():
+            unit = " radians" if joints.kinds[j] >= TURN else ""
             raise NoConsistentMode(
-                f"the path of {jumped[0]} jumps at t = {start:.6g}, and the points of joint "
-                f"{[*self._prescribed.joints][joints.owners[np.argmax(apart)]]!r} are "
-                f"{apart.max():.3g} apart; {advice}"
+                f"the path of {jumped[0]} jumps at t = {start:.6g}, and opens joint "
+                f"{[*self._prescribed.joints][joints.owners[j]]!r} by {open_by[j]:.3g}{unit}; "
+                f"{advice}"
             )
         met = self.detect(state, start, _INSTANT * self._length)
         landed = LANDED * float(self._warm.last_step[2]) + _JUMPED_INTO * self.numbers.sizes

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import combinations, pairwise, product
+from dataclasses import dataclass
+from itertools import chain, combinations, pairwise, product
 from string import digits
 from types import MappingProxyType
 from typing import NamedTuple
@@ -84,55 +85,77 @@ def scene_formulas(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
     return ((loc, text) for loc, text in formulas(scene) if loc[0] in _SECTIONS)
 
 
-def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
-    """Return the names that the formula at a place may use."""
-    parameters = frozenset(scene.parameters)
+@dataclass(frozen=True)
+class _Names(Collection[str]):
+    """A union of names, not copied: a scene has many formulas, and each uses a few names."""
+
+    parts: tuple[Collection[str], ...]
+
+    def __contains__(self, name: object) -> bool:
+        return any(name in part for part in self.parts)
+
+    def __iter__(self) -> Iterator[str]:
+        return chain(*self.parts)
+
+    def __len__(self) -> int:
+        return sum(map(len, self.parts))
+
+
+def _motion_names(scene: SceneFields) -> frozenset[str]:
+    """Return the names that forces and limits of couplings may use."""
+    return scene.kinematic_names | {*scene.controls} | scene.placed_names
+
+
+def _names_for(scene: SceneFields, loc: Loc, motion: Collection[str]) -> Collection[str]:
+    """Return the names that the formula at a place may use; `motion` are `_motion_names`."""
+    return _Names((scene.parameters, *_further_names(scene, loc, motion)))
+
+
+def _further_names(
+    scene: SceneFields, loc: Loc, motion: Collection[str]
+) -> tuple[Collection[str], ...]:
+    """Return the names, other than parameters, that the formula at a place may use."""
+    memory, controls = scene.controlled.controller_state, scene.controls
     section, name, key, *_ = (*map(str, loc), "", "")
     match section, key:
         case "bodies", "angle" | "position":
             if not scene.bodies[name].prescribed:
-                return parameters | {*scene.coordinates}
-            numbered = {INDEX} if scene.bodies[name].copies is not None else set()
-            return (
-                parameters | {TIME, *scene.controlled.controller_state, *scene.controls} | numbered
-            )
+                return (scene.coordinates,)
+            numbered = {TIME, INDEX} if scene.bodies[name].copies is not None else {TIME}
+            return numbered, memory, controls
         case "bodies", "start" if scene.bodies[name].copies is not None:
-            return parameters | {INDEX}
+            return ({INDEX},)
         case "surfaces", "height":
-            return parameters | {"x"}
+            return ({"x"},)
         case ("surfaces", "displacement" | "turn") | ("joints", "to") if loc[-1] != "at":
             # Variables of controllers may move surfaces, and joints of bodies with shapes.
-            memory = scene.controlled.controller_state
             if section == "surfaces":
-                return parameters | {TIME, *memory, *(() if scene.collisions else scene.controls)}
+                return {TIME}, memory, () if scene.collisions else controls
             if loc[-1] in ("x", "y"):
-                return parameters | {TIME, *(memory if scene.collisions else ())}
+                return {TIME}, memory if scene.collisions else ()
         case "joints", "rope" | "rod" if not scene.collisions:
-            led = {*scene.controlled.controller_state, *scene.controls} if key == "rope" else ()
-            return parameters | {TIME, *led}
+            return ({TIME}, memory, controls) if key == "rope" else ({TIME},)
         case "contacts", "friction" | "restitution":
             law = scene.friction_of(name) if key == "friction" and loc[-1] != "static" else None
-            return parameters | {*scene.controls} | (law.slips if law else frozenset())
+            return controls, law.slips if law else ()
         case "forces", "force" | "moment":
             # A force on copies may use the coordinates of each copy.
             copied = scene.bodies.get(scene.forces[name].body)
             coordinates = (
                 {f"{scene.forces[name].body}.{c}" for c in copied.coordinates} if copied else ()
             )
-            rates = map(scene.rate_name, coordinates)
-            return (
-                scene.kinematic_names | {*scene.controls, *coordinates, *rates} | scene.placed_names
-            )
+            return motion, coordinates, {*map(scene.rate_name, coordinates)}
         case "couplings", "limit":
-            return scene.kinematic_names | {*scene.controls} | scene.placed_names
-    return parameters
+            return (motion,)
+    return ()
 
 
 def check_formulas(scene: SceneFields, findings: Findings) -> None:
     """Check that formulas use only names that are defined at their place."""
+    motion = _motion_names(scene)
     for loc, text in scene_formulas(scene):
         with findings:
-            known, formula = names_for(scene, loc), parse(text)
+            known, formula = _names_for(scene, loc, motion), parse(text)
             for node in names_in(formula.root):
                 if node.name not in known:
                     # The error of a name that a formula cannot use gives the alternative.
@@ -326,7 +349,7 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
 def _friction_limits(
     scene: SceneFields, loc: Loc, friction: FormulaText | Friction | None
 ) -> Iterator[Limit]:
-    law = friction_law(friction, str(loc[1]), {*scene.parameters, *scene.controls})
+    law = friction_law(friction, str(loc[1]), scene.parameters, scene.controls)
     if law is None:
         return
     for side in (1.0, -1.0) if law.varies else (1.0,):
@@ -443,12 +466,12 @@ def check_kinks(scene: SceneFields) -> None:
     Forces, and what controllers set them to, are smooth as long as a state lasts; derivatives are
     not too large to be built.
     """
+    constant = {*scene.parameters, *scene.controlled.controller_state, *scene.controls, INDEX}
     for loc, text in scene_formulas(scene):
         if loc[0] not in ("surfaces", "joints") and loc[2:3] not in (("position",), ("angle",)):
             continue
-        constant = {*scene.parameters, *scene.controlled.controller_state, *scene.controls, INDEX}
-        variables = names_for(scene, loc) - constant
-        if variables:
+        known = _names_for(scene, loc, ())
+        if variables := {name for name in parse(text).names - constant if name in known}:
             ground = loc[-1] == "height"
             advice, lacks = _SURFACES if ground else _SMOOTH, "slope, or no curvature,"
             check_smooth(text, variables, loc=loc, lacks=lacks, advice=advice, roots=ground)
@@ -642,8 +665,8 @@ def check_turns(scene: SceneFields) -> None:
     for name, joint in scene.joints.items():
         key = "angle" if joint.angle is not None else "limits"
         for end in joint.ends.values() if getattr(joint, key) is not None else ():
-            body = scene.bodies[scene.owners()[end.body]]
-            if body.inertia is None and not body.prescribed:
+            body = scene.single_body(end.body)
+            if body and body.inertia is None and not body.prescribed:
                 raise DeclarationProblem(
                     f"{end.body!r} is a particle, which has no angle",
                     advice=f"give it an inertia, or remove {key}",
@@ -680,9 +703,9 @@ def check_coupled(scene: SceneFields, name: str) -> None:
         return
     if scene.along_guide(name):
         return
-    single, moves = scene.single_bodies(), False
+    moves = False
     for place, body in enumerate(scene.coupled(name)):
-        declared = single.get(body)
+        declared = scene.single_body(body)
         loc = ("bodies", place) if coupling.bodies is not None else ("joint",)
         if declared is None:
             return
@@ -748,8 +771,7 @@ def check_collisions(scene: SceneFields) -> None:
                 advice="declare each body by itself",
                 key=("bodies", name, "copies"),
             )
-        if body.prescribed:
-            _check_path(scene, name)
+    _check_paths(scene)
     if all(body.prescribed for body in scene.bodies.values()):
         raise DeclarationProblem(
             "all bodies are fixed or led, and nothing moves by itself",
@@ -777,20 +799,24 @@ def check_collisions(scene: SceneFields) -> None:
             check_member("surface", name_of, scene.surfaces, *at, "surfaces", place)
 
 
-def _check_path(scene: SceneFields, name: str) -> None:
-    """Check that the path of a fixed or led body is prescribed, and that no force acts on it."""
-    moving = _moving_names(scene)
-    for key, text in zip(("x", "y", "angle"), scene.bodies[name].path, strict=True):
-        for control in parse(text).names.intersection(scene.controls):
-            if dependent := sorted(used_names(scene.controlled.texts(control)) & moving):
-                raise DeclarationProblem(
-                    f"the path uses {control!r}, which depends on {dependent[0]!r}, "
-                    "on how bodies move",
-                    advice="let it depend on time, controls and variables; a force follows bodies",
-                    loc=("bodies", name, "angle" if key == "angle" else "position"),
-                )
+def _check_paths(scene: SceneFields) -> None:
+    """Check that paths of fixed and led bodies are prescribed, and that no force acts on them."""
+    moving, owners = _moving_names(scene), scene.owners()
+    led = {name: body.path for name, body in scene.bodies.items() if body.prescribed}
+    for name, path in led.items():
+        for key, text in zip(("x", "y", "angle"), path, strict=True):
+            for control in parse(text).names.intersection(scene.controls):
+                if dependent := sorted(used_names(scene.controlled.texts(control)) & moving):
+                    raise DeclarationProblem(
+                        f"the path uses {control!r}, which depends on {dependent[0]!r}, "
+                        "on how bodies move",
+                        advice="let it depend on time, controls and variables; a force follows "
+                        "bodies",
+                        loc=("bodies", name, "angle" if key == "angle" else "position"),
+                    )
     for force, declared in scene.forces.items():
-        if scene.owners().get(declared.body, declared.body) == name:
+        name = owners.get(declared.body, declared.body)
+        if name in led:
             raise DeclarationProblem(
                 f"{name!r} {_motion(scene.bodies[name])}, and no force moves it",
                 advice="remove the force, or give the body a mass and no path",

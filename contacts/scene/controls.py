@@ -10,6 +10,7 @@ from typing import ClassVar, TypeVar
 
 from pydantic import PrivateAttr
 
+from contacts.scene.parts import used_names
 from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
 from statechart.charts.wrapping import STATE, Count
@@ -108,13 +109,11 @@ class Controls:
 
         Raises `CycleError` if they depend on each other in a circle.
         """
+        places = {control: place for place, control in enumerate(self.declared)}
+        used = {control: used_names(self.texts(control)) for control in self.declared}
         uses = {
-            control: [
-                other
-                for other in self.declared
-                if any(other in parse(text).names for text in self.texts(control))
-            ]
-            for control in self.declared
+            control: sorted(names & places.keys(), key=places.__getitem__)
+            for control, names in used.items()
         }
         return tuple(TopologicalSorter(uses).static_order())
 
@@ -179,8 +178,8 @@ class Controls:
         """Return the region that sets the controls in a coefficient; None if there is none."""
         if text is None:
             return None
-        used = [control for control in self.owners if control in parse(text).names]
-        return self.owners[used[0]] if used else None
+        names = parse(text).names
+        return next((region for control, region in self.owners.items() if control in names), None)
 
     def values_by_state(
         self,
@@ -267,7 +266,8 @@ class Controls:
     ) -> None:
         """Check that a coefficient of a contact is constant in every state of one region."""
         # A control that no state sets is refused by `check`.
-        used = [control for control in self.owners if control in parse(text).names]
+        names = parse(text).names
+        used = [control for control in self.owners if control in names]
         regions = list(dict.fromkeys(self.owners[control] for control in used))
         if len(regions) > 1:
             raise DeclarationProblem(
@@ -289,10 +289,14 @@ class Controls:
 
     def texts(self, control: str) -> list[FormulaText]:
         """Return all formulas that set a control."""
-        return [
-            self.declared[control],
-            *(text for _, _, other, text, _ in self.sets() if other == control),
-        ]
+        return [self.declared[control], *self._set_texts.get(control, ())]
+
+    @cached_property
+    def _set_texts(self) -> Mapping[str, list[FormulaText]]:
+        texts: dict[str, list[FormulaText]] = {}
+        for _, _, control, text, _ in self.sets():
+            texts.setdefault(control, []).append(text)
+        return texts
 
     def sets(self) -> Iterator[tuple[str, str, str, FormulaText, Loc]]:
         """Yield region, state, control, value and its place for every control that a state sets."""

@@ -8,8 +8,9 @@ limit of an angle a contact whose gap is the remaining angle.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from contacts.scene.controls import Controller, ControlState
@@ -28,6 +29,8 @@ from statechart.formulas.relation import Comparison, Negation, Term, conjunction
 if TYPE_CHECKING:
     from contacts.scene.fields import SceneFields
 
+_Start = Callable[[], Mapping[str, float]]
+"""Returns the values of all names at the start, computed if a relation asks for them."""
 ENABLE, DISABLE = "enable", "disable"
 """Events of a joint: it closes, and it lets go."""
 BROKEN = "broken"
@@ -89,16 +92,19 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
             enabled=gate,
         )
 
+    # Of the whole scene, for all joints.
+    start = cache(lambda: _start(scene, None))
+    kinematic = cache(lambda: _kinematic_names(scene))
     for name, joint in scene.joints.items():
         gate = joint.enabled
         if joint.rope is None or scene.collisions:
             joints[name] = _as_captured(name, joint)
-        elif _uses_forces(scene, gate):
+        elif gate and _uses_forces(scene, gate, kinematic()):
             holder = f"{name}_{CLOSED}"
-            controllers[holder] = _region(scene, name, joint)
+            controllers[holder] = _region(scene, name, joint, start)
             gate = (f"in({holder}.{CLOSED})",)
         if is_switched(joint):
-            controllers[name] = _region(scene, name, joint)
+            controllers[name] = _region(scene, name, joint, start)
             gate = (f"in({name}.{CLOSED})",)
         if joint.rope is not None:
             add_contact(name, joint, _circle(joint, joint.rope), gate)
@@ -160,18 +166,23 @@ def _circle(joint: Joint, length: FormulaText) -> Surface:
     return Reach(circle=centre, radius=length, hollow=True, displacement=path)
 
 
-def _uses_forces(scene: SceneFields, relations: tuple[str, ...]) -> bool:
+def _kinematic_names(scene: SceneFields) -> frozenset[str]:
+    """Return the names that depend on places and velocities, not on forces."""
+    of_contacts = {f"{c}.{q}" for c in scene.contacts for q in ("gap", "slip")}
+    return scene.kinematic_names | {*scene.controls} | of_contacts
+
+
+def _uses_forces(
+    scene: SceneFields, relations: tuple[str, ...], kinematic: AbstractSet[str]
+) -> bool:
     """Return whether relations use forces, or states of contacts and couplings."""
-    if not relations:
-        return False
     relation = parse_relation(conjunction(relations))
-    kinematic = {f"{c}.{q}" for c in scene.contacts for q in ("gap", "slip")}
-    return not relation.names <= scene.kinematic_names | {*scene.controls} | kinematic or any(
+    return not relation.names <= kinematic or any(
         member.region not in scene.controlled.flat for member in relation.members
     )
 
 
-def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
+def _region(scene: SceneFields, name: str, joint: Joint, start: _Start) -> Controller:
     """Return the region of a joint that can be off."""
     relation, captures = conjunction(joint.enabled), _capture_formulas(scene, name, joint)
     term = parse_relation(relation)
@@ -188,7 +199,7 @@ def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
     if reclosing == without_forces:
         edges.append((ENABLE, OFF, CLOSED, reclosing))
     region = Controller(
-        initial=OFF if holds_at_start(scene, term.root) is False else CLOSED,
+        initial=OFF if _holds_at_start(scene, term.root, start) is False else CLOSED,
         states=states,
         transitions=tuple(
             Transition(**{"name": event, "from": before, "to": after, "guard": guard})
@@ -236,7 +247,8 @@ def start_problem(
     name = str(problem.loc[1])
     enabled = scene.joints[name].enabled
     relation = parse_relation(conjunction(enabled)) if enabled else None
-    holds = None if relation is None else holds_at_start(scene, relation.root, values)
+    start = cache(lambda: _start(scene, values))
+    holds = None if relation is None else _holds_at_start(scene, relation.root, start)
     if holds is not False:
         return problem
     return DeclarationProblem(
@@ -246,12 +258,10 @@ def start_problem(
     )
 
 
-def holds_at_start(
-    scene: SceneFields, term: Term, values: Mapping[str, float] | None = None
-) -> bool | None:
+def _holds_at_start(scene: SceneFields, term: Term, start: _Start) -> bool | None:
     """Return whether a relation holds at the start; None if it depends on forces."""
     if isinstance(term, Negation):
-        operand = holds_at_start(scene, term.part, values)
+        operand = _holds_at_start(scene, term.part, start)
         return None if operand is None else not operand
     if isinstance(term, InState):
         region = scene.controlled.flat.get(term.region)
@@ -260,11 +270,11 @@ def holds_at_start(
         # Bodies with shapes start free.
         return term.state == "free" if scene.collisions and term.region in scene.moving() else None
     if isinstance(term, Comparison):
-        known = _start(scene, values)
+        known = start()
         if not term.left.names | term.right.names <= known.keys():
             return None
         return bool(term.holds(term.left.value(known), term.right.value(known)))
-    operands = [holds_at_start(scene, operand, values) for operand in term.parts]
+    operands = [_holds_at_start(scene, operand, start) for operand in term.parts]
     decisive = isinstance(term, Or)
     return decisive if decisive in operands else None if None in operands else not decisive
 
@@ -277,7 +287,8 @@ def _start(scene: SceneFields, values: Mapping[str, float] | None) -> dict[str, 
 
 
 def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
-    body = scene.single_bodies()[name]
+    body = scene.single_body(name)
+    assert body is not None
     if body.position is not None or body.fixed:
         x, y, angle = body.path
         return f"({x})", f"({y})", f"({angle})"

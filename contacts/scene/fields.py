@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
+from string import digits
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Tag
@@ -246,6 +248,13 @@ class SceneFields(Declaration):
             for body in (self.bodies[owner],)
         }
 
+    def single_body(self, name: str) -> Body | None:
+        """Return a body or a copy as `single_bodies` has it; None for an unknown name."""
+        for end in range(len(name), len(name.rstrip(digits)) - 1, -1):
+            if (body := self.bodies.get(name[:end])) is not None:
+                return body if end == len(name) else body.numbered(int(name[end:]))
+        return None
+
     @property
     def whole(self) -> frozenset[str]:
         """Parameters that count copies of bodies."""
@@ -362,25 +371,28 @@ class SceneFields(Declaration):
             return False
         if "free" not in declared.kinds or declared.restitution != 0:
             return "free" in declared.kinds
-        moved = self._moved_with(declared.point.body)
-        return sum(other.point.body in moved for other in self.contacts.values()) > 1
+        return self._coupled_contacts[declared.point.body] > 1
 
-    def _moved_with(self, body: str) -> set[str]:
-        """Return the bodies coupled to a body by joints, coordinates and contacts."""
-        pairs = [tuple(end.body for end in joint.ends.values()) for joint in self.joints.values()]
+    @cached_property
+    def _coupled_contacts(self) -> Mapping[str, int]:
+        """Body -> contacts of the bodies that joints, coordinates and contacts couple to it."""
+        links = [tuple(end.body for end in joint.ends.values()) for joint in self.joints.values()]
         for contact in self.contacts.values():
             carrier = self.surfaces[contact.surface].body
-            pairs += [] if carrier is None else [(contact.point.body, carrier)]
-        for coordinate in self.coordinates:
-            pairs.append(tuple(n for n, body in self.bodies.items() if coordinate in body.placing))
-        moved, pending = {body}, [body]
-        while pending:
-            current = pending.pop()
-            for pair in pairs:
-                fresh = {*pair} - moved if current in pair else set()
-                moved |= fresh
-                pending += fresh
-        return moved
+            links += [] if carrier is None else [(contact.point.body, carrier)]
+        # Bodies meet at the coordinates that place them, which have other names than bodies.
+        links += [
+            (n, q) for n, b in self.bodies.items() for q in b.placing & self.coordinates.keys()
+        ]
+        groups: dict[str, set[str]] = {}
+        for link in links + [(contact.point.body,) for contact in self.contacts.values()]:
+            own = [groups.setdefault(name, {name}) for name in link]
+            largest = max(own, key=len)
+            for group in own:
+                largest |= group
+                groups |= dict.fromkeys(group if group is not largest else (), largest)
+        counts = Counter(id(groups[contact.point.body]) for contact in self.contacts.values())
+        return {name: counts[id(group)] for name, group in groups.items()}
 
     @cached_property
     def controlled(self) -> Controls:
@@ -392,7 +404,7 @@ class SceneFields(Declaration):
         if contact not in self.contacts:  # A coupling
             return None
         declared = self.contacts[contact].friction
-        return friction_law(declared, contact, {*self.parameters, *self.controls})
+        return friction_law(declared, contact, self.parameters, self.controls)
 
     @property
     def rolling(self) -> dict[str, str]:
@@ -422,9 +434,9 @@ class SceneFields(Declaration):
         declared = self.couplings[coupling]
         if declared.bodies is not None:
             return declared.bodies
-        fixed = {name for name, owner in self.owners().items() if self.bodies[owner].fixed}
         ends = self.joints[declared.joint or ""].ends.values()
-        return tuple(end.body for end in ends if end.body not in fixed)
+        bodies = {end.body: self.single_body(end.body) for end in ends}
+        return tuple(name for name, body in bodies.items() if body is None or not body.fixed)
 
     @property
     def kinematic_names(self) -> frozenset[str]:

@@ -99,7 +99,7 @@ class FrictionLaw(NamedTuple):
 
 
 def friction_law(
-    friction: FormulaText | Friction | None, contact: str, known: Collection[str]
+    friction: FormulaText | Friction | None, contact: str, *known: Collection[str]
 ) -> FrictionLaw | None:
     """Return the law of a contact; a coefficient that uses its slip is static at slip 0.
 
@@ -107,8 +107,9 @@ def friction_law(
     """
     if friction is None:
         return None
-    slips = frozenset({SLIP, f"{contact}.{SLIP}"}.difference(known))
-    return FrictionLaw(*coefficients(friction), slips)
+    slips = (SLIP, f"{contact}.{SLIP}")
+    own = frozenset(name for name in slips if not any(name in names for names in known))
+    return FrictionLaw(*coefficients(friction), own)
 
 
 def coefficients(friction: FormulaText | Friction) -> tuple[FormulaText, FormulaText]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     import sympy as sp
 
     _Pair = tuple[sp.Expr, sp.Expr]
-    _Row = dict[int, sp.Expr]  # Index of a coordinate -> its entry; all others are zero
+
+Row = dict[int, "sp.Expr"]
+"""Sparse row: the index of a coordinate -> its entry; all others are zero."""
 
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
@@ -59,8 +61,8 @@ class ContactSymbols:
     slipping: _Pair
     normal: _Pair  # Unit vector of the surface there, out of the solid
     # `jacobian_n`, `jacobian_t`: d(normal, tangential velocity)/d(rates)
-    jacobian_n: _Row
-    jacobian_t: _Row
+    jacobian_n: Row
+    jacobian_t: Row
     # `bias_n`, `bias_t`: Their rates at zero accelerations of the coordinates
     bias_n: sp.Expr
     bias_t: sp.Expr
@@ -72,8 +74,8 @@ class ContactSymbols:
     H: sp.Symbol
     friction: FrictionSymbols
     # d(normal, tangential velocity)/d(rates) on coordinates and pads
-    jacobian: tuple[_Row, _Row]
-    joints: tuple[tuple[sp.Symbol, _Row], ...]  # Forces and Jacobian of the joints, row by row
+    jacobian: tuple[Row, Row]
+    joints: tuple[tuple[sp.Symbol, Row], ...]  # Forces and Jacobian of the joints, row by row
     # `closing`, `sticking`: Constraints of a closed gap, and of a sticking point
     closing: Hold
     sticking: Hold
@@ -162,14 +164,15 @@ class Pin(Part):
         return State(equations, tuple(margins), values=values, holds=holds)
 
 
-class SignFriction(NamedTuple):
+@dataclass(frozen=True)
+class SignFriction:
     """Dry friction by a sign, as expressions."""
 
     name: str  # As in formulas, without spaces.
     slip: sp.Expr  # The rate in the sign.
     bias: sp.Expr  # Its derivative where nothing accelerates.
     limit: sp.Expr
-    row: tuple[tuple[int, sp.Expr], ...]  # Items of the derivatives of the slip by the rates.
+    row: Row = field(hash=False)  # Derivatives of the slip by the rates.
 
 
 class Bearing(NamedTuple):
@@ -255,18 +258,18 @@ def share_of(
             # A spring at the joint, with zero deflection, makes the pivots nonzero.
             balances[y[i]] += row[i] * (reaction + displacement)
     known: dict[sp.Expr, sp.Expr] = {}
-    for (name, slip, _, most, items), zone in bearing.signs:
-        row = dict(items)
+    for sign, zone in bearing.signs:
+        row, most = sign.row, sign.limit
         shared = [i for i in places if i in row]
         spring = sp.Add(*(row[i] * y[i] for i in shared))
         # A sign on its bound has it in the equations of motion.
         side = {"upper": 1, "lower": -1}.get(zone, 0)
-        known[sp.sign(slip)] = sp.Integer(-side)
+        known[sp.sign(sign.slip)] = sp.Integer(-side)
         for i in shared:
             balances[y[i]] += row[i] * spring if side == 0 else 0
         clearances = (side * spring - most,) if side else (most - spring, most + spring)
         margins += tuple(
-            Margin(f"{name}.{k}", clearance, "force") for k, clearance in enumerate(clearances)
+            Margin(f"{sign.name}.{k}", clearance, "force") for k, clearance in enumerate(clearances)
         )
     loads = Loads(carried, tuple(carriers.values()), laws, balances, known)
     if contact.compliance is not None:

@@ -206,8 +206,9 @@ class Scene(SceneFields):
         for name, joint in self.joints.items():
             for key, end in joint.ends.items():
                 yield "body", end.body, single, ("joints", name, key, "body")
+        forced = {**self.bodies, **single}
         for name, force in self.forces.items():
-            yield "body", force.body, {**self.bodies, **single}, ("forces", name, "body")
+            yield "body", force.body, forced, ("forces", name, "body")
         for name, coupling in self.couplings.items():
             if coupling.joint is not None:
                 yield "joint", coupling.joint, self.joints, ("couplings", name, "joint")
@@ -278,12 +279,15 @@ class Scene(SceneFields):
         known = self.kinematic_names | self.placed_names | {*self.controls}
         known |= {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         known |= {f"{coupling}.slip" for coupling in self.couplings}
+        changing = known - parameters
+        named = {name: {*region.named} for name, region in self.controlled.flat.items()}
+        frictional = {*self.frictional}
         ropes = {joint_name for joint_name, joint in self.joints.items() if joint.rope is not None}
         for text, here in relations:
             with findings:
                 for member in parse_relation(text).members:
                     owner = member.region
-                    if owner in self.frictional or owner in ropes:
+                    if owner in frictional or owner in ropes:
                         quantity = f"{owner}.{'gap' if owner in self.contacts else 'slip'}"
                         relation = "" if owner in ropes else f"a relation of {quantity}, or "
                         raise DeclarationProblem(
@@ -300,8 +304,7 @@ class Scene(SceneFields):
                             advice=f"write enabled: in(REGION.STATE), and a guard on {name} there",
                             loc=here,
                         )
-                named = {name: {*region.named} for name, region in self.controlled.flat.items()}
-                check_relation(text, known, named, known - {*parameters}, *here)
+                check_relation(text, known, named, changing, *here)
 
     def _coordinates_move_bodies(self, findings: Findings) -> None:
         used = frozenset[str]().union(*(body.placing for body in self.bodies.values()))

@@ -182,6 +182,16 @@ class Recorder:
         self.controls, self.key = controls, target
         return jump
 
+    def closing_impulse(self, before: Chunk, after: Chunk) -> dict[str, float]:
+        """Return the impulses of joints in a step `after` a joint closes, beyond those `before`.
+
+        Those of a step with impacts belong to them.
+        """
+        if after.struck.any():
+            return {}
+        gained = (after.joint_impulses[0] - before.joint_impulses[0]).tolist()
+        return {name: size for name, size in zip(self.joint_forces, gained, strict=True) if size}
+
     def rewind(self, last: Arc, *, earlier: bool) -> Array:
         """Go back to the end of a part of the last arc, or of an earlier one; return the state."""
         if earlier:

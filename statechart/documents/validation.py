@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -21,6 +22,7 @@ from statechart.documents.hints import (
 )
 from statechart.documents.yaml_text import flow
 from statechart.errors import (
+    MAX_PROBLEMS,
     DeclarationError,
     DeclarationProblem,
     FormulaError,
@@ -64,54 +66,66 @@ def declaration_error(
 ) -> DeclarationError:
     """Return the errors of pydantic as one error with positions."""
     errors, found = error.errors(include_url=False), list[DeclarationError]()
+    beside: dict[Loc, list[ErrorDetails]] = {}
     for details in errors:
-        if _is_implied(details, errors, model) or _follows_from_empty(details, document):
+        beside.setdefault(details["loc"][:-1], []).append(details)
+    above = {loc[:depth] for loc in beside for depth in range(len(loc) + 1)}
+    empty = document.empty
+    holding = {place[:depth] for place in empty for depth in range(len(place) + 1)}
+    beside_empty = empty | {place[:-1] for place in empty if len(place) > 1}
+    for details in errors:
+        if len(found) > MAX_PROBLEMS:
+            break
+        if _is_implied(details, beside, above, model):
+            continue
+        if _follows_from_empty(details, document, holding, beside_empty):
             continue
         cause = details.get("ctx", {}).get("error")
         others = cause.others if isinstance(cause, DeclarationProblem) else ()
         found += [_to_error(details, one, document, model) for one in (cause, *others)]
     if isinstance(document, Document):
         unknown = {_key(details) for details in errors}
-        found += _empty(document, model, unknown)
+        found += islice(_empty(document, model, unknown), MAX_PROBLEMS + 1)
     return _combine(found)
 
 
 def _combine(found: list[DeclarationError]) -> DeclarationError:
     found.sort(key=lambda one: (one.line or 0, one.column or 0))
-    found[0].others = tuple(found[1:])
+    found[0].others = tuple(found[1 : MAX_PROBLEMS + 1])
     return found[0]
 
 
 def _is_implied(
-    details: ErrorDetails, errors: Sequence[ErrorDetails], model: type[BaseModel]
+    details: ErrorDetails,
+    beside: Mapping[Loc, Sequence[ErrorDetails]],
+    above: Collection[Loc],
+    model: type[BaseModel],
 ) -> bool:
-    """Return whether an error follows from the others."""
+    """Return whether an error follows from others, `beside` it (by parent) or `above` them."""
     if _lacks_items(details):
         # One error for a list that lacks two items.
         *outer, last = details["loc"]
         return any(
-            _lacks_items(other) and other["loc"] == (*outer, int(last) + 1) for other in errors
+            _lacks_items(other) and other["loc"][-1] == int(last) + 1
+            for other in beside[tuple(outer)]
         )
     if details["type"] == "too_short":
         # pydantic does not count wrong items.
-        at = details["loc"]
-        return any(len(one["loc"]) > len(at) and one["loc"][: len(at)] == at for one in errors)
+        return details["loc"] in above
     if details["type"] == "model_type" and isinstance(details["input"], str):
         # The formula of a union with a mapping is wrong, and is reported.
-        at = details["loc"][:-1]
-        return any("error" in one.get("ctx", {}) and one["loc"][:-1] == at for one in errors)
+        return any("error" in one.get("ctx", {}) for one in beside[details["loc"][:-1]])
     if details["type"] == "missing":
         # A misspelt key, or one of another program, is also missing.
-        *above, name = details["loc"]
+        *outer, name = details["loc"]
         # Advice on the latter may replace the mapping, as `friction: 0.5` does {mu: 0.5}.
         return any(
             other["type"] == "extra_forbidden"
-            and list(other["loc"][:-1]) == above
             and (
                 difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
-                or other_word(model, other["loc"]).partition(":")[0] in (*above, name)
+                or other_word(model, other["loc"]).partition(":")[0] in (*outer, name)
             )
-            for other in errors
+            for other in beside[tuple(outer)]
         )
     return False
 
@@ -140,19 +154,23 @@ def _empty(
         )
 
 
-def _follows_from_empty(details: ErrorDetails, document: Document | Built) -> bool:
-    """Return whether an error may follow from an empty key at, above or beside its place."""
+def _follows_from_empty(
+    details: ErrorDetails,
+    document: Document | Built,
+    holding: Collection[Loc],
+    beside_empty: Collection[Loc],
+) -> bool:
+    """Return whether an error may follow from an empty key at, above or beside its place.
+
+    `holding` are the places with an empty key in them, `beside_empty` empty keys and the parts that
+    have one.
+    """
     if _key(details) is not None:
         return False
     cause = details.get("ctx", {}).get("error")
     loc = details["loc"] + (cause.loc if isinstance(cause, DeclarationProblem) else ())
     at = document.existing(loc)
-    return any(
-        at[: len(place)] == place
-        or place[: len(at)] == at
-        or (len(place) > 1 and at[: len(place) - 1] == place[:-1])
-        for place in document.empty
-    )
+    return at in holding or any(at[:depth] in beside_empty for depth in range(1, len(at) + 1))
 
 
 def _key(details: ErrorDetails) -> str | int | None:
@@ -269,6 +287,11 @@ def _message_and_advice(
         return f"{message}, not {word!r}", other_value(
             word, "'value', 'integral', 'minimum', 'maximum'"
         )
+    if kind == "output" and isinstance(value, str | int | float) and not built:
+        return (
+            f"{context.get('message', details['msg'])}; got {shown}",
+            f"write {flow({'value': value})}",
+        )
     if kind == "union_tag_invalid":
         tags = context["expected_tags"]
         return f"must be one of {tags}, not {context['tag']!r}", other_value(context["tag"], tags)
@@ -292,7 +315,7 @@ def validate(document: Document, model: type[Model]) -> Model:
         made = model.model_validate(document.data, by_alias=True, by_name=False)
     except ValidationError as error:
         raise declaration_error(error, document, model) from None
-    if empty := list(_empty(document, model)):
+    if empty := [*islice(_empty(document, model), MAX_PROBLEMS + 1)]:
         raise _combine(empty)
     return made
 

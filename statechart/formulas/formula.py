@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import graphlib
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -151,9 +151,8 @@ class Formula:
         """True if the constant `inf` occurs in it."""
         return any(isinstance(node, Constant) and node.name == "inf" for node in nodes(self.root))
 
-    def require(self, known: Iterable[str]) -> None:
+    def require(self, known: Collection[str]) -> None:
         """Raise `FormulaError` at the first name not in `known`, with similar names."""
-        known = frozenset(known)
         for name in names_in(self.root):
             if name.name not in known:
                 undeclared(name, known, self._source)

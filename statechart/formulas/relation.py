@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -116,9 +116,8 @@ class Relation:
         """The names in it."""
         return frozenset[str]().union(*(formula.names for formula in self.formulas))
 
-    def require(self, known: Iterable[str]) -> None:
+    def require(self, known: Collection[str]) -> None:
         """Check that it uses only names in `known`; see `Formula.require`."""
-        known = frozenset(known)
         for formula in self.formulas:
             formula.require(known)
 

@@ -52,12 +52,8 @@ class _References:
             self._spread(assigned)
         self.borrowing = {one.target.name for one in assigned} - self.counted
         # Numbers unpacked from an array, whose iterator lasts no longer than that.
-        self.borrowing |= {
-            one.target.name
-            for one in every
-            if getattr(one.value, "op", "") == "exhaust_iter"
-            and not self._has_references(one.target.name)
-        }
+        taken = {one.target.name for one in every if getattr(one.value, "op", 0) == "exhaust_iter"}
+        self.borrowing |= {name for name in taken if not self._has_references(name)}
 
     def _has_references(self, name: str) -> bool:
         return bool(self._models[self._kinds[name]].contains_nrt_meminfo())
@@ -148,9 +144,8 @@ class _Builder(llvm.IRBuilder):
             return value
         whole = value.base
         for index, member in value.members.items():
-            made = llvm.instructions.InsertValue(self.block, whole, self._whole(member), [index])
-            super()._insert(made)
-            whole = made
+            whole = llvm.instructions.InsertValue(self.block, whole, self._whole(member), [index])
+            super()._insert(whole)
         return whole
 
 

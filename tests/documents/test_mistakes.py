@@ -158,7 +158,7 @@ MISTAKES = {
     "moment without first": ("first tip.slip", "tip.slip", "write first tip.slip, last tip.slip"),
     "event misspelt": ("first tip.slip", "first tip.slips", "did you mean 'slip' or 'slide'?"),
     "force of another name": ("value: time", "value: tip.F", "did you mean 'tip.V' or 'tip.H'"),
-    "output in short": ("{value: time, at: first tip.slip}", "rod.x", "such as {value: time, at: "),
+    "output in short": ("{value: time, at: first tip.slip}", "rod.x", "write {value: rod.x}"),
     "range of one number": ("mu: [0, 2]", "mu: 2", "must be a list, not 2; such as [0, 2]"),
     "range turned": ("mu: [0, 2]", "mu: [2, 0]", "the least value comes first; write [0, 2]"),
     "range of nothing": ("mu: [0, 2]", "nu: [0, 2]", "no parameter 'nu'; known: L, e, g, h, m"),

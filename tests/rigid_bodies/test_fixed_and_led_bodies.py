@@ -588,28 +588,75 @@ regions:
 """
     trace = _run(bodies, HANGS, more, throw=False).trace
     assert trace.outcome is Outcome.NO_CONSISTENT_MODE
-    assert "jumps at t = 0.5, and the points of joint 'j' are 0.2 apart" in str(trace.message)
+    assert "jumps at t = 0.5, and opens joint 'j' by 0.2;" in str(trace.message)
 
 
-def test_an_angle_that_jumps_off_a_weld_ends_the_run() -> None:
+LIMITS = "limits: [-0.2, 0.2]"
+
+
+@pytest.mark.parametrize(
+    ("angle", "jump", "opening", "turned"),
+    [("angle: held", 0.3, 0.3, 1.0), (LIMITS, 0.3, 0.3, 0.8), (LIMITS, -1.0, 0.6, 0.8)],
+)
+def test_an_angle_that_jumps_off_a_joint_ends_the_run(
+    angle: str, jump: float, opening: float, turned: float
+) -> None:
     bodies = f"""
   pivot: {{position: [0, 0], angle: s, shape: {{disc: 0.05}}}}
   bob: {{{BOB}}}
 """
-    more = """
-joints: {j: {point: {body: bob}, to: {body: pivot}, angle: held}}
+    more = f"""
+joints: {{j: {{point: {{body: bob}}, to: {{body: pivot}}, {angle}}}}}
 regions:
   r:
     initial: a
-    variables: {s: 0}
-    states: {a: {flows: {s: 1}}, b: {entry: {s: s + TO}, flows: {s: 1}}}
-    transitions: [{name: go, from: a, to: b, guard: time >= 0.5}]
+    variables: {{s: 0}}
+    states: {{a: {{flows: {{s: 1}}}}, b: {{entry: {{s: s + TO}}, flows: {{s: 1}}}}}}
+    transitions: [{{name: go, from: a, to: b, guard: time >= 0.5}}]
 """
-    trace = _run(bodies, HANGS, more.replace("TO", "0.3"), throw=False).trace
+    trace = _run(bodies, HANGS, more.replace("TO", str(jump)), throw=False).trace
     assert trace.outcome is Outcome.NO_CONSISTENT_MODE
-    assert "joint 'j'" in str(trace.message)
-    turned = _run(bodies, HANGS, more.replace("TO", "0")).trace.final[2]
-    assert turned == pytest.approx(1.0, abs=1e-3)
+    assert f"jumps at t = 0.5, and opens joint 'j' by {opening} radians" in str(trace.message)
+    final = _run(bodies, HANGS, more.replace("TO", "0")).trace.final
+    assert final[2] == pytest.approx(turned, abs=1e-3)
+
+
+@pytest.mark.parametrize("rest", ["", "rest: captured, "])
+def test_a_joint_that_closes_beyond_its_limits_ends_the_run(rest: str) -> None:
+    bodies = f"""
+  pivot: {{position: [0, 0], shape: {{disc: 0.05}}}}
+  bob: {{{BOB}, start: {{angle: START}}}}
+"""
+    law = "  all: {bodies: [bob], friction: 0.3, restitution: 0}"
+    joint = f"{{point: {{body: bob}}, to: {{body: pivot}}, {LIMITS}, {rest}enabled: time >= 1e-3}}"
+    more = f"joints: {{j: {joint}}}"
+    trace = _run(bodies.replace("START", "1"), law, more, throw=False).trace
+    assert trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "while its angle is 0.8 radians beyond its limits" in str(trace.message)
+    final = _run(bodies.replace("START", "0.1"), law, more).trace.final
+    assert final[2] == pytest.approx(0.1, abs=1e-9)
+
+
+@pytest.mark.parametrize(("pivot", "other"), [("0", "s"), ("0.1*s", "0")])
+def test_a_jump_that_opens_no_joint_ends_no_run(pivot: str, other: str) -> None:
+    # The landing leaves the angle 0.00115 beyond its limit.
+    bodies = f"""
+  pivot: {{position: [0, 0], angle: {pivot}, shape: {{disc: 0.05}}}}
+  other: {{position: [9 + {other}, 0], shape: {{disc: 0.05}}}}
+  bob: {{{BOB}, start: {{dangle: {2.7 if other == "s" else 0}}}}}
+"""
+    more = f"""
+joints: {{j: {{point: {{body: bob}}, to: {{body: pivot}}, {LIMITS}}}}}
+regions:
+  r:
+    initial: a
+    variables: {{s: 0}}
+    states: {{a: {{}}, b: {{entry: {{s: 1}}}}}}
+    transitions: [{{name: go, from: a, to: b, guard: time >= 0.5}}]
+"""
+    law = "  all: {bodies: [bob, pivot, other], friction: 0.3, restitution: 0}"
+    final = _run(bodies, law, more).trace.final
+    assert final[2] == pytest.approx(0.2 if other == "s" else 0.0, abs=2e-3)
 
 
 def test_copies_are_welded_to_copies_of_led_bodies() -> None:

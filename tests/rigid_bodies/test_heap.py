@@ -318,7 +318,7 @@ def test_bodies_that_collide_are_listed_and_drawn_with_their_path(tmp_path, caps
     ("options", "code", "words"),
     [
         (["--step", "0.5"], 1, "STEP_TOO_LARGE"),
-        (["--step", "0.05"], 1, "STEP_TOO_LARGE"),
+        (["--step", "0.1"], 1, "STEP_TOO_LARGE"),
         (["--engine", "scipy"], 2, "scipy cannot run bodies that collide by their shapes; leave"),
         (["--budget", "1"], 2, "give a step"),
         (["--set", "n=0"], 2, "whole number"),

@@ -524,3 +524,80 @@ def test_a_hinge_that_closes_bears_the_centripetal_force(step):
     outputs = Runner(interpret(read_text(CAUGHT.format(keys="", step=step)))).run(until=0.3).outputs
     assert outputs["X"] == pytest.approx(np.abs(x).max(), abs=60 * step)
     assert outputs["Y"] == pytest.approx(y.max(), abs=60 * step)
+
+
+LATCH = """
+kind: scene
+name: latch
+gravity: 0
+parameters: {{F: 1000}}
+bodies:
+  wall: {{fixed: true, shape: {{disc: 0.05}}}}
+  door:
+    mass: 20
+    inertia: 1
+    shape: {{polygon: [[-0.4, -0.02], [0.4, -0.02], [0.4, 0.02], [-0.4, 0.02]]}}
+    start: {{x: 0.4*cos(0.8), y: 0.4*sin(0.8), angle: 0.8}}
+joints:
+  hinge: {{point: {{body: door, at: [-0.4, 0]}}, to: {{body: wall}}}}
+  latch:
+    point: {{body: door, at: [0.4, 0]}}
+    to: {{body: wall, at: [0.8, 0]}}
+    rest: captured
+    enabled: door.angle <= 0.01 and hypot(latch.X, latch.Y) <= F
+forces: {{closer: {{body: door, moment: -8*(door.angle + 0.2)}}}}
+collisions: {{all: {{bodies: [door, wall], friction: 0, restitution: 0}}}}
+stop: {{time: 1.2}}
+settings: {{engine: impulse, step: {step}}}
+outputs:
+  breaks: {{value: time, at: first latch.disable}}
+  force: {{maximum: "hypot(latch.X, latch.Y)"}}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4])
+def test_a_redundant_latch_bears_the_force_that_the_motion_needs(step):
+    """Hinge and latch both hold the door along itself; its moment needs a couple of forces."""
+    runner = Runner(interpret(read_text(LATCH.format(step=step))))
+    result = runner.run()
+    assert "other joints imply 'latch'" in " ".join(result.trace.warnings)
+    assert result.outputs["breaks"] is None
+    turned = result.trace.final[2]
+    assert result.outputs["force"] == pytest.approx(8.0 * (turned + 0.2) / 0.8, rel=5e-3)
+    assert runner.run({"F": 2.0}).outputs["breaks"] is not None
+    # The swing's energy, 8/2 (1 - 0.21^2), stops at once.
+    caught = next(jump for jump in result.trace.jumps if jump.cause == "enable")
+    inertia = 1.0 + 20.0 * 0.4**2
+    speed = math.sqrt(8.0 * (1.0 - (turned + 0.2) ** 2) / inertia)
+    assert caught.joint_impulse["latch.Y"] == pytest.approx(inertia * speed / 0.8, rel=2 * step)
+
+
+def test_a_joint_that_closes_lists_the_impulse_of_its_closing():
+    """The velocity of the caught end becomes zero: v + w x r = 0 with L about it conserved."""
+    text = """
+kind: scene
+name: catch
+gravity: 0
+bodies:
+  post: {fixed: true, start: {x: 2}, shape: {disc: 0.1}}
+  box:
+    mass: 2
+    inertia: 0.5
+    shape: {polygon: [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]}
+    start: {dx: 3, dy: 1}
+joints:
+  latch:
+    point: {body: box, at: [0.2, 0]}
+    to: {body: post}
+    rest: captured
+    enabled: box.x >= 1
+collisions: {all: {bodies: [box, post], friction: 0, restitution: 0}}
+stop: {time: 0.5}
+settings: {engine: impulse, step: 1e-3}
+"""
+    [jump] = Runner(interpret(read_text(text))).run().trace.jumps
+    # Turning about the end with the moment of momentum m dy r = (I + m r^2) w.
+    w = -2.0 * 1.0 * 0.2 / (0.5 + 2.0 * 0.2**2)
+    assert jump.cause == "enable"
+    assert jump.joint_impulse["latch.X"] == pytest.approx(-6.0, rel=1e-3)
+    assert jump.joint_impulse["latch.Y"] == pytest.approx(2.0 * (-0.2 * w - 1.0), rel=1e-3)

@@ -467,21 +467,33 @@ def test_fast_disc_in_a_bowl_stops_bouncing():
     np.testing.assert_allclose(found.final, exact.final, rtol=0, atol=3e-3)
 
 
+BAR = "{polygon: [[-0.5, -0.1], [0.5, -0.1], [0.5, 0.1], [-0.5, 0.1]]}"
+
+
 @pytest.mark.parametrize(
-    ("polygon", "reach"),
+    ("shape", "reach", "x"),
     [
-        ("[[-0.5, -0.1], [0.5, -0.1], [0.5, 0.1], [-0.5, 0.1]]", 0.509902),  # half the diagonal
-        ("[[-0.5, -0.3], [0.5, -0.3], [0, 0.5660254]]", 0.57735),  # side/sqrt(3)
-        ("[[-0.5, -0.1], [0.5, -0.1], [0, 0.1]]", 0.5),  # obtuse: half of its longest side
+        (BAR, 0.509902, 0),  # half the diagonal
+        ("{polygon: [[-0.5, -0.3], [0.5, -0.3], [0, 0.5660254]]}", 0.57735, 0),  # side/sqrt(3)
+        ("{polygon: [[-0.5, -0.1], [0.5, -0.1], [0, 0.1]]}", 0.5, 0),  # obtuse: half its longest
+        ("[{disc: 0.3}, {disc: 0.1, at: [0.5, 0]}]", 0.45, 0.15),
+        # hypot(0.5 + x, 0.1) = 1.2 - x
+        (f"[{BAR}, {{disc: 0.3, at: [0.9, 0]}}]", 0.852941, 1.18 / 3.4),
     ],
 )
-def test_a_polygon_that_cannot_fit_into_a_hollow_circle_is_said_to(polygon, reach):
-    shape = re.sub("shape: .*", f"shape: {{polygon: {polygon}}}", OUTLINES["box"])
-    for radius, words in ((reach - 0.04, f"around it has a radius of {reach:.6g}"), (0.6, "")):
-        text = scene({"box": ""}, {"drum": f"circle: [0, 0], radius: {radius}, hollow: true"})
-        runner = Runner(interpret(read_text(text.replace(OUTLINES["box"], shape))))
-        if not words:
+def test_a_body_that_cannot_fit_into_a_hollow_circle_is_said_to(shape, reach, x):
+    outline = re.sub("shape: .*", f"shape: {shape}", OUTLINES["box"])
+    for radius in (0.95 * reach, 1.2 * reach):
+        drum = {"drum": f"circle: [0, 0], radius: {radius}, hollow: true"}
+        text = scene({"box": f"x: {-x}"}, drum).replace(OUTLINES["box"], outline)
+        runner = Runner(interpret(read_text(text)))
+        if radius > reach:
             assert runner.run(until=0.01).trace.outcome is Outcome.HORIZON
             continue
-        with pytest.raises(DeclarationError, match=words):
+        with pytest.raises(DeclarationError, match=f"around it has a radius of {reach:.6g}, and"):
             runner.run()
+
+
+def test_a_disc_fits_into_a_hollow_circle_of_its_radius():
+    text = scene({"disc": "x: 0"}, {"drum": "circle: [0, 0], radius: 0.05, hollow: true"})
+    assert Runner(interpret(read_text(text))).run(until=0.01).trace.outcome is Outcome.HORIZON

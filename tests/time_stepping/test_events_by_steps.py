@@ -1258,3 +1258,27 @@ def test_a_contact_that_a_joint_lifts_flies_in_the_next_steps() -> None:
         ("enable", pytest.approx(0.1, abs=1e-9)),
         ("touchdown", pytest.approx(0.103, abs=1.1e-3)),
     ]
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4])
+def test_a_joint_that_closes_on_its_bound_stays_closed(step):
+    """A door snaps shut up to a step late: the closing brings it onto the bound of its relation."""
+    text = f"""
+    kind: scene
+    name: door
+    gravity: 0
+    bodies:
+      door: {{mass: 20, inertia: 1, start: {{x: 0.4*cos(0.8), y: 0.4*sin(0.8), angle: 0.8}}}}
+    joints:
+      hinge: {{point: {{body: door, at: [-0.4, 0]}}, to: [0, 0]}}
+      latch: {{point: {{body: door, at: [0.4, 0]}}, to: {{y: 0}}, enabled: door.angle <= 0}}
+    forces: {{closer: {{body: door, moment: -8*(door.angle + 0.2)}}}}
+    stop: {{time: 1.2}}
+    settings: {{engine: impulse, step: {step}}}
+    outputs: {{Y: {{value: latch.Y}}}}
+    """
+    result = Runner(interpret(read_text(text))).run()
+    assert [jump.cause for jump in result.trace.jumps] == ["enable"]
+    assert abs(result.trace.final[2]) < 1e-12
+    # The moment of the closer at rest, over the width of the door.
+    assert result.outputs["Y"] == pytest.approx(8.0 * 0.2 / 0.8, rel=1e-9)
