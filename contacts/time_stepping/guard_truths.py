@@ -241,10 +241,14 @@ class StepTruths:
     def _read_unknowns(self, end: StepEnd) -> bool:
         """Return whether accelerations or forces may decide a guard at an instant.
 
-        They do so where a margin depends on them, or is not above zero: their rates do.
+        They do so where a margin depends on them, or is not above zero and its rate depends on
+        them, or is at zero: its second derivative does.
         """
-        margins, sizes = self._controlled.atoms_at(self._setup, end.time, end.state).T
-        return not bool(np.all(margins > self._setup.rounded * sizes))
+        at = np.array([end.time]), end.state[None], np.full((1, len(end.own)), np.nan)
+        margins, sizes = np.moveaxis(self.table(*at), -1, 0)
+        rates, least = self.table(*at, 1)[..., 0], self._setup.rounded * sizes
+        decided = (margins > least) | ((margins < -least) & np.isfinite(rates))
+        return not bool(decided.all())
 
     def _falls(self, end: StepEnd) -> Bools:
         """Return the atoms (1, a) that fell to their bound in the step before transitions.

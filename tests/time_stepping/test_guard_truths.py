@@ -9,6 +9,7 @@ import pytest
 
 import statechart
 from contacts.time_stepping import stepper
+from contacts.time_stepping.chunk import SteppedSystem
 from statechart.documents.yaml_reader import read_text
 
 STEP = 1e-3
@@ -150,6 +151,25 @@ def test_rates_of_variables_of_controllers_decide_guards(
     assert times == ([] if fires is None else pytest.approx([fires], abs=1.1 * STEP))
     warns = [w for w in run.warnings if "go is true within the step of 0.001 at t = 0.1," in w]
     assert len(warns) == passes
+
+
+@pytest.mark.parametrize(("limit", "fires"), [("b.y < 5", False), ("b.dy < 5", True)])
+def test_guards_that_read_no_accelerations_take_no_further_steps(
+    limit: str, fires: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The height and its rate are known after a transition; the acceleration is not."""
+    taken, next_steps = list[float](), SteppedSystem.next_steps
+
+    def count(self: Any, start: float, h: float, state: Any, steps: int) -> Any:
+        taken.append(start)
+        return next_steps(self, start, h, state, steps)
+
+    monkeypatch.setattr(SteppedSystem, "next_steps", count)
+    text = BALL.replace("E}", "0.5}").replace("from: a, to: b", "from: a, to: a, every: 0.1")
+    text = text.replace(', guard: "GUARD"', "").replace("time: 0.6}", "time: 0.25, CONDITIONS}")
+    text = text.replace("CONDITIONS", f"conditions: {{go: {limit} and time > 0.3}}")
+    statechart.run(read_text(text), engine="impulse", step=STEP)
+    assert bool(taken) == fires
 
 
 @pytest.mark.parametrize("stops", [False, True])
