@@ -161,7 +161,7 @@ class StepControl:
             )
             if firing is None:
                 self._warn_of_left_out(jumps, end)
-                self._warn_of_turned((held & self._became_true) - hold, end)
+                self._warn_of_reversed((held & self._became_true) - hold, end)
                 return end
             failed = {one for one in self._chosen(~truths) if one[0] != firing.place}
             jump, end = self._take(firing, recorder, end, struck)
@@ -220,7 +220,7 @@ class StepControl:
             recorder.chatter.change(name, source, taken.target, recorder.clock.high)
         return jump, then
 
-    def _warn_of_turned(self, guards: Collection[tuple[int, int]], end: StepEnd) -> None:
+    def _warn_of_reversed(self, guards: Collection[tuple[int, int]], end: StepEnd) -> None:
         """Warn of guards that became true in the last step, and that transitions made false."""
         for guard in self._states.guards(self.states).watch.guards:
             if (guard.place, guard.trigger) in guards:
