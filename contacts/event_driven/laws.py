@@ -314,13 +314,14 @@ class SceneLaws:
     def close(self, at: SceneInstant, joint: str, cause: str) -> tuple[Jump, Flow]:
         """Close a joint: its points stop, and so do contacts that are closed, without rebound.
 
-        Raises `NoConsistentMode` if the points of the joint are apart.
+        Raises `NoConsistentMode` if the joint is open or beyond its limits.
         """
         setup = at.setup
-        snapshot = hidden(self.tape.at(setup.values, at.state, at.clock.high), at.flow.mode)
+        snapshot = self.tape.at(setup.values, at.state, at.clock.high)
         near = setup.tolerances["gap"]
         apart = max(_START_DEPTH * setup.scales.length, near)
         check_closing(self._mechanics, snapshot, joint, apart)
+        snapshot = hidden(snapshot, at.flow.mode)
         state = on_constraints(("free",) * len(self._names), snapshot, at.state)
         after = hidden(self.tape.at(setup.values, state, at.clock.high), at.flow.mode)
         plastic = tuple(law._replace(restitution=0.0) for law in setup.contacts)
