@@ -10,8 +10,8 @@ with impacts, margins are continued from both ends, as the impact may be anywher
 guard that is true within a step, at neither end.
 
 An atom whose margin falls before an impact or transition and rises after it is false in that step,
-and while the margin rises back, as it is beyond its bound by an error of the step at most. A warning
-says so. An atom that falls to its bound as an open contact touches waits for the impact.
+and while it rises back, as it is beyond its bound by an error of the step at most. A warning says
+so. An atom that falls to its bound as an open contact touches waits for the impact.
 """
 
 from __future__ import annotations

@@ -469,3 +469,26 @@ def test_a_guard_that_a_wrap_in_its_step_reverses_gives_a_warning(
     trace = run(text, 1e-3)
     assert not [jump for jump in trace.jumps if jump.region == "c"]
     assert [w for w in trace.warnings if w.startswith("c.go reaches its boundary within the step")]
+
+
+@pytest.mark.parametrize("later", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("push", "event"), [("[0, F]", "liftoff"), ("[0, F]", "touchdown"), ("[F, 0]", "slip")]
+)
+def test_steps_warn_of_a_contact_that_changes_between_two_transitions_of_an_instant(
+    push: str, event: str, later: float
+) -> None:
+    body = POINT.replace("START", "start: {y: 0}").replace("restitution: e", "restitution: 0")
+    body += f"controls: {{F: 0}}\nforces: {{f: {{body: b, force: {push}}}}}\n"
+    text = SCENE.format(body=body, go="to: b, after: 0.5", stop="time > 0.9")
+    text = text.replace("b: {}}", "b: {sets: {F: 30}}, d: {}}").replace(
+        "n + 1}}]",
+        f"n + 1}}}}, {{name: back, from: b, to: d, guard: time >= {0.5 + later}}}]\n"
+        "  ear:\n    initial: a\n    states: {a: {}, b: {}}\n"
+        f"    transitions: [{{name: hears, from: a, to: b, on: k.{event}}}]",
+    )
+    assert ("ear", "hears") in events(run(text, None))
+    trace = run(text, STEP)
+    heard = ("ear", "hears") in events(trace)
+    assert heard == (later > 0.0)
+    assert heard != any("between transitions at t = 0.5, which" in w for w in trace.warnings)
