@@ -198,7 +198,7 @@ class StepTruths:
         self._setup = setup
         at = np.array([time]), state[None], np.full((1, 1 + max(self.order, default=0)), np.nan)
         margins, rates = (self.table(*at, order)[..., 0] for order in (0, 1))
-        self._back = self._back & (margins > self._start - h * rates)
+        self._back = self._back & (margins >= self._start - h * rates)
         self._start = np.where(np.isnan(margins), self._start, margins)
 
     def table(self, times: Array, states: Array, solved: Array, order: int = 0) -> Array:
@@ -228,7 +228,7 @@ class StepTruths:
         if back.any():
             # With accelerations that have reversed, too.
             rates = self.table(np.array([end.time]), end.state[None], end.solved[None], 1)[..., 0]
-            back &= end.h * rates > ends.zero
+            back &= self._returns(end.h * rates, ends.zero)
         true = ends.true & ~back
         self._last, self._start, self._rate = true, ends.margins, ends.rates
         self._zero[1:] = ends.near
@@ -293,17 +293,22 @@ class StepTruths:
         self._fall = chunk.h * np.vstack([self._rate, ends.rates])[:-1]
         true = np.vstack([self._last, ends.true & ~self._waits])
         struck = np.any(chunk.struck, axis=1, keepdims=True)
-        self._reversed = struck & (self._fall < 0.0) & (ends.rates > 0.0) & ~true[:-1]
-        # Reversed atoms stay false while their margins are beyond the bound and rise.
+        returns = self._returns(chunk.h * ends.rates, ends.zero)
+        self._reversed = struck & (self._fall < 0.0) & returns & ~true[:-1]
+        # Reversed atoms stay false while their margins are beyond the bound and return.
         steps = np.arange(1, len(struck) + 1)[:, None]
-        rises = true[1:] & (chunk.h * ends.rates > ends.zero)
         hit = np.vstack([np.where(self._back, 0, -1), np.where(self._reversed, steps, -1)])
-        free = np.vstack([np.full_like(hit[:1], -1), np.where(rises, -1, steps)])
+        free = np.vstack([np.full_like(hit[:1], -1), np.where(true[1:] & returns, -1, steps)])
         self._backs = np.maximum.accumulate(hit)[1:] > np.maximum.accumulate(free)[1:]
         true[1:] &= ~self._backs
         self._all = true
         was = self._guards(true, codes)
         return self._guards(ends.due & true[1:], self._codes), was[1:] & ~was[:-1]
+
+    def _returns(self, changes: Array, zero: Array) -> Bools:
+        """Return the atoms (m, a) whose margins rise; at a strict bound also those that stay."""
+        returns: Bools = changes > np.where(self._watch.closed, zero, -zero)
+        return returns
 
     def _wait_for_impacts(self, chunk: Chunk) -> Bools:
         """Return the atoms (m, a) that fall to their bound in a step as an open contact touches.
@@ -419,7 +424,9 @@ class StepTruths:
         b, d = self._at.margins[:count], h * self._at.rates[:count]
         a, c, zero = np.vstack([self._start, b])[:-1], self._fall[:count], self._at.zero[:count]
         first, last, codes = self._all[:count], self._all[1 : count + 1], self._codes[:count]
-        sides = np.array([first | (a + c < -zero), last | (b - d < -zero)])
+        known = ~np.vstack([self._back, self._backs])[:count]  # Not beyond a bound by an error.
+        before, after = (a + c < -zero) & known, (b - d < -zero) & known & ~self._at.near[:count]
+        sides = np.array([first | before, last | after])
         ends = self._guards(first, codes) | self._guards(last, codes)
         may = self._guards(sides.any(axis=0) | first | last, codes) & ~ends
         for k in np.flatnonzero(may.any(axis=1)).tolist():
@@ -453,4 +460,4 @@ class StepTruths:
         first, last = self._all[k : k + 2]
         on_zero = np.where(first != last, self._watch.closed, last)
         inside: Bools = np.where(np.abs(at) <= self._at.zero[k], on_zero, at < 0.0)
-        return inside & ~self._waits[k]
+        return inside & ~self._waits[k] & ~self._backs[k]

@@ -492,3 +492,36 @@ def test_steps_warn_of_a_contact_that_changes_between_two_transitions_of_an_inst
     heard = ("ear", "hears") in events(trace)
     assert heard == (later > 0.0)
     assert heard != any("between transitions at t = 0.5, which" in w for w in trace.warnings)
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize(("guard", "fires"), [("b.y < LOW", False), ("b.y <= LOW", True)])
+@pytest.mark.parametrize("height", [1.0, 1.0005, 1.0011, 1.0017, 1.0023, 1.003])
+@pytest.mark.parametrize("body", [POINT, SHAPE], ids=["point", "shape"])
+def test_a_body_that_lands_and_rests_is_not_below_the_surface(
+    body: str, height: float, guard: str, fires: bool, step: float | None
+) -> None:
+    """The depth of a landing is an error of the step, at once and later."""
+    low = int(body is SHAPE)
+    if step is None and low:
+        return  # Shapes move by steps only.
+    body = body.replace("START", f"start: {{y: {height + low}}}")
+    guard, lands = guard.replace("LOW", str(low)), (height / 5) ** 0.5
+    text = SCENE.format(body=body, go=f"to: b, guard: {guard}", stop=f"{guard} and time > 0.6")
+    jumps = run(text.replace("restitution: e", "restitution: 0"), step).jumps
+    acts = [(jump.cause, jump.t) for jump in jumps if jump.cause in ("go", "stop")]
+    late = pytest.approx(lands, abs=2 * step if step else 1e-9)
+    assert acts == ([("go", late), ("stop", pytest.approx(0.6, abs=step or 1e-9))] if fires else [])
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 3.1e-4])
+@pytest.mark.parametrize(("stop", "end"), [("b.dx < 0", 0.8), ("b.dx <= 0 and in(c.b)", 0.5)])
+def test_a_speed_that_a_transition_stops_at_zero_is_not_below_it(
+    stop: str, end: float, step: float | None
+) -> None:
+    """The force of -2 ends as the speed 1 - 2 t is zero: by steps it is up to a step later."""
+    body = "bodies: {b: {mass: 1, start: {dx: 1}}}\ncontrols: {F: 0}\n"
+    body += "forces: {f: {body: b, force: [F, 0]}}\n"
+    text = SCENE.format(body=body, go="to: b, guard: b.dx <= 0", stop=stop)
+    text = text.replace("a: {}", "a: {sets: {F: -2}}").replace("time: 1,", "time: 0.8,")
+    assert run(text, step).t_end == pytest.approx(end, abs=step or 1e-9)
