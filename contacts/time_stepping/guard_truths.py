@@ -273,7 +273,7 @@ class StepTruths:
             self._found.setdefault(name, passed_warning(name, float(times[0]), last.h))
         # A contact may have touched up to half a step before this one.
         falls: Bools = (first >= last.h * fall * last.struck[-1].any()) & (fall < 0.0)
-        return falls
+        return falls & (ends.margins - first >= 2.0 * last.h * fall)
 
     def true_at(self, time: float, state: Array, solved: Array, h: float, codes: Ints) -> Bools:
         """Return the guards (g,) that are true at an instant of the steps that `take` had last."""
@@ -294,7 +294,10 @@ class StepTruths:
         true = np.vstack([self._last, ends.true & ~self._waits])
         struck = np.any(chunk.struck, axis=1, keepdims=True)
         returns = self._returns(chunk.h * ends.rates, ends.zero)
-        self._reversed = struck & (self._fall < 0.0) & returns & ~true[:-1]
+        falls = (self._fall < 0.0) & ~true[:-1]
+        # Rates explain no jump of a margin at an impact.
+        falls &= ends.margins - np.vstack([self._start, ends.margins])[:-1] >= 2.0 * self._fall
+        self._reversed = struck & falls & returns
         # Reversed atoms stay false while their margins are beyond the bound and return.
         steps = np.arange(1, len(struck) + 1)[:, None]
         hit = np.vstack([np.where(self._back, 0, -1), np.where(self._reversed, steps, -1)])

@@ -525,3 +525,18 @@ def test_a_speed_that_a_transition_stops_at_zero_is_not_below_it(
     text = SCENE.format(body=body, go="to: b, guard: b.dx <= 0", stop=stop)
     text = text.replace("a: {}", "a: {sets: {F: -2}}").replace("time: 1,", "time: 0.8,")
     assert run(text, step).t_end == pytest.approx(end, abs=step or 1e-9)
+
+
+@pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+@pytest.mark.parametrize("acts", ["go", "stop"])
+def test_a_speed_that_jumps_at_an_impact_and_rises_then_is_below_its_bound(
+    acts: str, step: float | None
+) -> None:
+    """A force that turns just before the impact brakes; friction stops the slip of 0.55."""
+    lands = 0.2**0.5
+    body = POINT.replace("START", "start: {y: 1, dx: 1}")
+    body += f"forces: {{f: {{body: b, force: ['sign(time - {lands - 1e-5})', 0]}}}}\n"
+    guard = {"go": "b.dx < -9", "stop": "b.dx < -9"} | {acts: "b.dx < 0.2"}
+    text = SCENE.format(body=body, go=f"to: b, guard: {guard['go']}", stop=guard["stop"])
+    jumps = [(jump.cause, jump.t) for jump in run(text, step).jumps if jump.region != "k"]
+    assert jumps[0] == (acts, pytest.approx(lands, abs=2 * step if step else 1e-9))
