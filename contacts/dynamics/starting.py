@@ -13,7 +13,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.scene.expansion import Reach, Stop, start_problem
+from contacts.scene.expansion import Reach, Stop, limit_contacts, start_problem
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
 from contacts.solvers.dependence import dependent_rows, least_squares
@@ -253,7 +253,7 @@ def check_closing(
     gap_tolerance: float,
     time_error: float = 0.0,
 ) -> None:
-    """Raise `NoConsistentMode` if a joint closes while its points are apart, or is redundant.
+    """Raise `NoConsistentMode` if a joint closes apart or beyond its limits, or is redundant.
 
     The allowed distance is `gap_tolerance` plus the motion during `time_error`, to second order.
     """
@@ -268,6 +268,13 @@ def check_closing(
             f"joint {joint!r} closes while {_ends(mechanics, joint)} {gaps.max():.6g} apart; write "
             "rest: captured, or enable it where they meet"
         )
+    for name, contact in zip(mechanics.scene.contacts, snapshot.contacts, strict=False):
+        allowed = gap_tolerance + time_error * abs(contact.gap_rate)
+        if name in limit_contacts(joint) and -contact.gap > allowed:
+            raise NoConsistentMode(
+                f"joint {joint!r} closes while its angle is beyond its limits; let enabled hold "
+                "within them"
+            )
     names = np.array([row.joint for row in mechanics.joint_rows])[~reduction.joints.redundant]
     spare = dependent_rows(reduction.joints.jacobian[~reduction.joints.redundant])
     if spare.any():

@@ -10,6 +10,7 @@ from itertools import combinations, pairwise
 from contacts.scene.fields import SceneFields
 from contacts.scene.friction import Friction
 from contacts.scene.parts import MOREAU, Contact
+from contacts.scene.regions import BODY_CAUSES, BODY_IMPACT, BODY_STATES
 from statechart.charts.transitions import declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
@@ -57,6 +58,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     yield from _static_by_hand(scene)
     if scene.collisions:
         yield from _idle(scene)
+        yield from _impossible_events(scene)
     for check in (_spread, _starts_inside, nearly_meeting_ends):
         # Other checks report formulas that have no value.
         with suppress(DeclarationError, DeclarationProblem):
@@ -113,6 +115,50 @@ def _idle(scene: SceneFields) -> Iterator[str]:
                 f"{kind}.{name}: it collides with nothing; list it in {kind} of "
                 "collisions, if it should"
             )
+
+
+def _impossible_events(scene: SceneFields) -> Iterator[str]:
+    """Yield warnings about awaited events and states that bodies with shapes cannot have."""
+    owners = scene.owners()
+    awaited = [
+        (f"outputs.{name}", output.moment.events if isinstance(output, Value) else output.events)
+        for name, output in scene.outputs.items()
+        if isinstance(output, Value | Count)
+    ]
+    for region, declared in scene.regions.items():
+        for transition, loc in declared_transitions(declared, "regions", region):
+            awaited.append((".".join(map(str, loc)), transition.events))
+    for place, events in awaited:
+        for body, event in ((event.region, event.cause) for event in events):
+            if body not in owners or event not in {*BODY_CAUSES, *BODY_STATES}:
+                continue
+            possible = _events_of_body(scene, owners[body])
+            if event not in possible:
+                causes = [cause for cause in BODY_CAUSES if cause in possible]
+                advice = f"its events are {', '.join(causes)}" if causes else "it has no collisions"
+                yield f"{place}: {body}.{event} never happens in this scene; {advice}"
+
+
+def _events_of_body(scene: SceneFields, body: str) -> set[str]:
+    """Return the events and states that a declared body with a shape may have.
+
+    Only friction pins a body. A single disc on one line or circle has one contact, which nothing
+    else strikes.
+    """
+    laws, declared = [x for x in scene.collisions.values() if body in x.bodies], scene.bodies[body]
+    possible = {*BODY_CAUSES, *BODY_STATES} if laws else {"free"}
+    frictions = [x.friction for x in laws if not isinstance(x.friction, Friction)]
+    if len(frictions) == len(laws) and all(
+        _constant_value(parse(x).root, {}) == 0 for x in frictions
+    ):
+        possible -= {"stick", "slip", "pin"}
+    met = {name for law in laws for name in (*law.bodies, *law.surfaces)} - {body}
+    surface = scene.surfaces.get(met.pop()) if len(met) == 1 else None
+    alone = declared.copies is None and not (scene.joints or scene.couplings)
+    if alone and surface and not (surface.moves or surface.body):
+        one = len(declared.shape) == 1 and declared.shape[0].disc is not None
+        possible -= {BODY_IMPACT} if one and (surface.straight or surface.circle) else set()
+    return possible
 
 
 def _spread(scene: SceneFields) -> Iterator[str]:

@@ -459,7 +459,7 @@ def keep_leaving(
     level, closed = memory.target_gap.copy(), memory.closed.copy()
     find_active(scene, memory, tape, change, k, met, chunk)
     close_opposed(scene, memory, tape, h, met)
-    label_groups(scene, tape, met)
+    label_groups(scene, tape, met.active, met.groups)
     which, bears, pushes = indices(met.active), np.zeros(c, np.bool_), np.zeros((c, 2))
     # Changes of rates per unit normal and tangential impulse.
     moves = np.zeros((c, 2, n))
@@ -617,7 +617,7 @@ def step_scene(
         chunk.stats[k, CONTACTS] = len(which)
         clear_contacts(scene, memory.disabled, forces, k, chunk)
         if len(which) > 0:
-            label_groups(scene, tape, met)
+            label_groups(scene, tape, met.active, met.groups)
         for label in which:
             members = group_members(met, label)
             if len(members) > 0:

@@ -12,13 +12,15 @@ with the velocities after the step, until its impulses agree. Zero are quantitie
 of acceleration explain: gaps up to ``16 h^2 a`` and their rates; slips against the mode of the
 previous step up to ``4 h a`` while the contact is loaded, and slips that end within four steps;
 accelerations of order ``h a`` only after an impact or against the impulses; slips of couplings
-after a landing up to ``4 h a``, with the sizes a of all terms. Beside compliant contacts, without a
-landing, slips are those of the steps: a foot beside a pinned compliant one creeps.
+after a landing up to ``4 h a``, with the sizes a of all terms. In a group with a loaded compliant
+contact, without a landing, slips are those of the steps: a foot beside a pinned compliant one
+creeps. Groups of coupled contacts settle separately.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +46,7 @@ from contacts.time_stepping.step_contacts import (
     coupling_loads,
     coupling_mode,
     delassus_of,
+    label_groups,
     load_couplings,
     normal_pads,
     unit_responses,
@@ -62,16 +65,30 @@ _INSIDE = 1.0 - 1e-9
 ALIKE, _MOST_ALIKE = 0.1, 1e-2
 
 
+class _Accelerations(NamedTuple):
+    """Contacts of a step, and their accelerations without forces of rigid free contacts."""
+
+    moving: Array  # Accelerations of the coordinates, and constraint forces.
+    # (c, 2): accelerations of contacts, and sums of absolute terms.
+    free: Array
+    sizes: Array
+    # (c,): part of the acceleration problem; explained by steps of acceleration; `LANDED`;
+    # compliant and loaded.
+    closed: Bools
+    near: Bools
+    landed: Bools
+    yields: Bools
+    groups: Ints  # (c,): see `contacts.time_stepping.step_contacts.label_groups`.
+
+
 @kernel
 def unsettle(memory: ContactHistory, k: int, chunk: Chunk) -> bool:
-    """Mark all contacts as settling if a mode changes; return whether they settle."""
-    changes = False
+    """Mark contacts whose modes change as settling; return whether any contact settles."""
     for i in range(len(memory.modes)):
         chunk.modes[k, i] = chunk.codes[k, i]
-        changes = changes or memory.settling[i] > 0 or memory.modes[i] != chunk.codes[k, i]
-    for i in range(len(memory.modes)):
+        changes = memory.modes[i] != chunk.codes[k, i]
         memory.settling[i] = max(memory.settling[i], int(changes))
-    return changes
+    return bool(memory.settling.any())
 
 
 @kernel
@@ -104,14 +121,10 @@ def _is_yielding(scene: StepConstants, i: int) -> bool:
 
 @kernel
 def _add_yielding_forces(
-    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
-    codes: Ints, h: float, moving: Array,
+    memory: ContactHistory, tape: TapeValues, equations: FactoredEquations, which: Ints, h: float,
+    moving: Array,
 ) -> None:  # fmt: skip
-    """Add the accelerations by compliant contacts in a step with codes (c,)."""
-    bears = np.zeros(len(codes), np.bool_)
-    for i in range(len(codes)):
-        bears[i] = _is_yielding(scene, i) and codes[i] != FREE and not memory.disabled[i]
-    which = indices(bears)
+    """Add the accelerations by loaded compliant contacts."""
     columns = unit_responses(tape, equations, which)
     for a in range(2 * len(which)):
         force = memory.impulses[which[a // 2], a % 2] / h
@@ -229,30 +242,52 @@ def settle(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
-    """Write the modes of settling contacts in step k.
+    """Write the modes of coupled groups with settling contacts in step k.
 
     The tape is that of the midpoint, with the velocities after the step.
     """
-    c, n, h = len(scene.cones), tape.size, chunk.h
-    moving = _free_accelerations(scene, tape, equations)
-    if scene.compliance.any():
-        _add_yielding_forces(scene, memory, tape, equations, chunk.codes[k], h, moving)
-    free, sizes = np.zeros((c, 2)), np.zeros((c, 2))
-    closed, near, landed = np.zeros(c, np.bool_), np.zeros(c, np.bool_), False
-    bears = ~memory.disabled & (chunk.codes[k] != FREE)
-    yields = bool((bears & (scene.compliance[:, 0] > 0.0)).any())
+    c, h = len(scene.cones), chunk.h
+    problem = _Accelerations(
+        _free_accelerations(scene, tape, equations), np.zeros((c, 2)), np.zeros((c, 2)),
+        np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_),
+        np.empty(c, np.int64),
+    )  # fmt: skip
     for i in range(c):
-        _write_accelerations(tape, i, moving, free[i], sizes[i])
+        bears = chunk.codes[k, i] != FREE and not memory.disabled[i]
+        problem.yields[i] = bears and _is_yielding(scene, i)
+    _add_yielding_forces(memory, tape, equations, indices(problem.yields), h, problem.moving)
+    closed, near = problem.closed, problem.near
+    for i in range(c):
+        _write_accelerations(tape, i, problem.moving, problem.free[i], problem.sizes[i])
         if _is_yielding(scene, i):
             continue
         if is_coupling(scene, i):
             closed[i] = not memory.disabled[i]
         elif scene.bilateral[i] == 0 and not memory.disabled[i]:
-            near[i] = _is_near(memory, tape, i, sizes[i, 0], h)
+            near[i] = _is_near(memory, tape, i, problem.sizes[i, 0], h)
             lasts = near[i] and memory.modes[i] != FREE and memory.modes[i] != OFF_CODE
             closed[i] = lasts or chunk.codes[k, i] != FREE
-            landed = landed or (closed[i] and memory.settling[i] == LANDED)
-    which = indices(closed)
+            problem.landed[i] = closed[i] and memory.settling[i] == LANDED
+    coupled = closed | problem.yields | (memory.settling > 0)
+    label_groups(scene, tape, coupled, problem.groups)
+    for label in indices(coupled):
+        members = indices((problem.groups == label) & coupled)
+        if (memory.settling[members] > 0).any():
+            _settle_group(scene, memory, tape, equations, problem, members, k, chunk)
+            _finish_settling(memory, tape.size + scene.joints, members, k, chunk)
+
+
+@kernel
+def _settle_group(
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
+    problem: _Accelerations, members: Ints, k: int, chunk: Chunk,
+) -> None:  # fmt: skip
+    """Write the modes of a coupled group in step k, from its acceleration problem."""
+    n, h, moving, near = tape.size, chunk.h, problem.moving, problem.near
+    landed, yields = problem.landed[members].any(), problem.yields[members].any()
+    for i in members:
+        memory.settling[i] = max(memory.settling[i], 1)
+    which = members[problem.closed[members]]
     m = len(which)
     modes = chunk.modes[k]
     if m > 0:
@@ -264,8 +299,8 @@ def settle(
         against, brakes = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
         for a in range(m):
             i = which[a]
-            copy_numbers(free[i], alone[a])
-            copy_numbers(sizes[i], terms[a])
+            copy_numbers(problem.free[i], alone[a])
+            copy_numbers(problem.sizes[i], terms[a])
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if chunk.codes[k, i] != FREE:
                 # The slip at mid-step differs by the step's rotation.
@@ -323,22 +358,23 @@ def settle(
             if scene.carriers[i] >= 0:
                 found = coupling_mode(scene, i, slips[a] if slides[a] != 0.0 else 0.0, modes)
                 modes[i] = found if FREE in (found, modes[i]) else modes[i]
-    _finish_settling(memory, n + scene.joints, k, chunk)
 
 
 @kernel
-def _finish_settling(memory: ContactHistory, first: int, k: int, chunk: Chunk) -> None:
-    """End the settling if the impulses of step k agree with the recorded modes.
+def _finish_settling(
+    memory: ContactHistory, first: int, members: Ints, k: int, chunk: Chunk
+) -> None:
+    """End the settling of a group whose impulses in step k agree with the recorded modes.
 
     `first`: index of the contact forces in the unknowns of the step.
     """
     agree = True
-    for i in range(len(memory.modes)):
+    for i in members:
         mode = memory.modes[i] = chunk.modes[k, i]
         agree = agree and mode == chunk.codes[k, i] and memory.landing_steps[i] == 0
         if mode != chunk.codes[k, i]:
             for d in range(2):
                 force = math.nan if mode != FREE else 0.0
                 chunk.solved[k, first + 2 * i + d] = force
-    for i in range(len(memory.modes)):
+    for i in members:
         memory.settling[i] = 0 if agree else memory.settling[i]

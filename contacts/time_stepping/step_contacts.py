@@ -363,9 +363,9 @@ def load_couplings(
 
 
 @kernel
-def label_groups(scene: StepConstants, tape: TapeValues, met: ContactRoles) -> None:
-    """Label active contacts, and constraints, by the first of their coupled group; others -1."""
-    numbers, n, c, active = tape.numbers, tape.size, len(scene.bilateral), indices(met.active)
+def label_groups(scene: StepConstants, tape: TapeValues, chosen: Bools, groups: Ints) -> None:
+    """Label chosen contacts, and constraints, by the first of their coupled group; others -1."""
+    numbers, n, c, active = tape.numbers, tape.size, len(scene.bilateral), indices(chosen)
     constraints, joints, width = indices(scene.bilateral > 0), tape.first + tape.per * c, n + JOINT
     which = np.empty(len(active) + len(constraints), np.int64)
     for a in range(len(which)):
@@ -377,9 +377,9 @@ def label_groups(scene: StepConstants, tape: TapeValues, met: ContactRoles) -> N
         which,
         scene.bilateral,
     )
-    met.groups[:] = -1
+    groups[:] = -1
     for a in range(len(which)):
-        met.groups[which[a]] = which[labels[a]]
+        groups[which[a]] = which[labels[a]]
 
 
 @kernel

@@ -362,7 +362,7 @@ def _split(atom: Atom) -> Any:
         return Atom(expression.xreplace(uncut), strict)
     corners = expression.atoms(sympy.Max, sympy.Min, sympy.Abs)
     corners = {corner for corner in corners if corner.free_symbols}
-    bare = _without_root(atom)
+    bare = _without_root(atom) or _at_zero(atom)
     if bare is not None or not corners:
         return bare or atom
     # The outermost first.
@@ -421,4 +421,24 @@ def _without_root(atom: Atom) -> Any:
             side = 1 if factor.is_positive else -1
             sizes = -side * bound, side * (base - bound**order)
             return (And if side > 0 else Or)(tuple(Atom(size, atom.strict) for size in sizes))
+    return None
+
+
+def _at_zero(atom: Atom) -> Any:
+    """Return ``sign(u) <= 0`` as ``u <= 0``, and ``u**2 <= 0`` as ``u <= 0 <= u``; else None.
+
+    A sum of terms that are never negative is at most 0 where all of them are.
+    """
+    import sympy
+
+    terms = sympy.Add.make_args(atom.expression)
+    if len(terms) > 1:
+        together = not atom.strict and all(term.is_nonnegative for term in terms)
+        return And(tuple(Atom(term, False) for term in terms)) if together else None
+    factor, power = atom.expression.as_coeff_Mul()
+    base, exponent = power.as_base_exp()
+    if isinstance(power, sympy.sign):
+        return Atom(factor * power.args[0], atom.strict)
+    if factor.is_positive and exponent.is_positive and exponent.is_even:
+        return And((Atom(base, atom.strict), Atom(-base, atom.strict)))
     return None

@@ -147,7 +147,12 @@ def make_plan(
     outputs: Sequence[str] | None = None,
 ) -> Plan:
     """Return the plan of a sweep; see `sweep` for the parameters."""
-    if (over is None) == (samples is None):
+    if over is None and samples is None:
+        raise DeclarationError(
+            "a sweep needs values of parameters",
+            advice="such as over={'mu': [0.1, 0.2, 0.3]}, or samples=a table",
+        )
+    if over is not None and samples is not None:
         raise DeclarationError("give either ranges (over) or samples, not both")
     if over is not None and not isinstance(over, Mapping):
         raise DeclarationError(

@@ -275,3 +275,32 @@ def test_a_mistake_in_a_list_of_relations_has_the_place_of_its_item(field, wrong
     assert f".2: formula '{wrong}'" in str(caught.value)
     assert caught.value.line == text.count("\n")
     assert caught.value.column == len("            - ") + column
+
+
+@ENGINES
+@pytest.mark.parametrize(
+    ("guard", "time"),
+    [
+        ("sign(x - 0.5)**2 <= 0", 0.5),
+        ("abs(sign(x - 0.5)) <= 0", 0.5),
+        ("not (x - 0.5)**2 > 0", 0.5),
+        ("sign(0.5 - x) <= 0", 0.5),
+        ("(x - 0.5)**2 + 3*(y - 1)**2 <= 0", 0.5),
+        ("(x - 0.5)**2 + 3*(y - 1.1)**2 <= 0", None),
+        ("(x - 0.5)**2 < 0", None),
+    ],
+)
+def test_guard_that_squares_hold_at_one_instant_fires_there(guard, time, engine):
+    text = f"""\
+kind: chart
+name: instant
+variables: {{x: 0, y: 0}}
+regions:
+  r:
+    initial: waits
+    states: {{waits: {{flows: {{x: 1, y: 2}}}}, done: {{}}}}
+    transitions: [{{name: t, from: waits, to: done, guard: "{guard}"}}]
+stop: {{time: 1}}
+"""
+    jumps = statechart.run(interpret(read_text(text)), engine=engine).trace.jumps
+    assert [jump.t for jump in jumps] == pytest.approx([] if time is None else [time], abs=1e-14)

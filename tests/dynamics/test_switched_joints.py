@@ -699,3 +699,24 @@ stop: {time: 0.1}
     assert outputs["left"] == pytest.approx(0.5 * (sum_of_both - difference), abs=1e-9)
     assert outputs["right"] == pytest.approx(0.5 * (sum_of_both + difference), abs=1e-9)
     assert outputs["along"] == pytest.approx(0.5 * (1.0 + m) * g * math.sin(a), abs=1e-9)
+
+
+@pytest.mark.parametrize("setting", [{}, {"engine": "scipy"}, {"engine": "impulse", "step": 1e-3}])
+@pytest.mark.parametrize("rest", ["", ", rest: captured"])
+def test_a_joint_of_points_that_closes_beyond_its_limits_ends_the_run(
+    rest: str, setting: dict[str, Any]
+) -> None:
+    text = f"""
+kind: scene
+name: arm
+bodies: {{arm: {{mass: 2, inertia: 0.1, start: {{dangle: 1}}}}}}
+joints:
+  hinge: {{point: {{body: arm}}, to: [0, 0], limits: [-1, MOST], enabled: arm.angle >= 0.5{rest}}}
+stop: {{time: 1}}
+"""
+    trace = statechart.run(read_text(text.replace("MOST", "0.49")), throw=False, **setting).trace
+    assert trace.outcome.name == "NO_CONSISTENT_MODE"
+    assert "joint 'hinge' closes while its angle is beyond its limits" in str(trace.message)
+    assert trace.t_end == pytest.approx(0.5, abs=1e-9)
+    trace = statechart.run(read_text(text.replace("MOST", "0.7")), **setting).trace
+    assert trace.final[2] == pytest.approx(0.7, abs=1e-3)
