@@ -1,4 +1,4 @@
-"""Modes of contacts after a jump of a controller that moves or accelerates their surfaces."""
+"""Modes of contacts after a jump of a controller, or of parameters, that moves their surfaces."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.scene.expansion import reach_of
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.scene.expansion import Reach, Stop
 from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array, Bools
+from statechart.automaton.laws import Flow, roles_in
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode
+
+StateAndTime = tuple[Array, float]
 
 
 def modes_after_jump(
@@ -43,7 +48,7 @@ def modes_after_jump(
     for i, (law, state) in enumerate(zip(laws, mode, strict=True)):
         gap, slip = float(after[i, 0]), float(after[i, 2])
         if rigid[i] and state != OFF and gap < min(float(before[i, 0]), 0.0) - near:
-            raise _displacement_error(scene.contacts[law.name].surface, law.name, -gap)
+            raise _displacement_error(scene, law.name, -gap)
         if state in OPEN or law.coupling:
             continue
         if separates[i]:
@@ -59,10 +64,44 @@ def modes_after_jump(
     return tuple(modes), separates
 
 
-def _displacement_error(surface: str, contact: str, depth: float) -> NoConsistentMode:
-    problem = f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}"
-    if surface == reach_of(contact):
+def modes_after_change(
+    scene: Scene, setup: SceneSetup, mode: Key, tape: SnapshotTape, before: Array, at: StateAndTime
+) -> Key:
+    """Return the modes of the contacts after a change of parameters from the values `before` (p,).
+
+    Raises `NoConsistentMode` as `modes_after_jump`, and if a closed joint opens.
+    """
+    old, new = (tape.at(values, *at) for values in (before, setup.values))
+    if old.reduction is not None and new.reduction is not None:
+        a, b = old.reduction.joints, new.reduction.joints
+        for what, kind, jumps in (
+            ("position", "gap", b.gaps - a.gaps), ("velocity", "speed", b.rates - a.rates)
+        ):  # fmt: skip
+            opens = np.flatnonzero(a.on & b.on & (np.abs(jumps) > setup.tolerances[kind]))
+            if len(opens):
+                joint = tape.joint_names[opens[0]].partition(".")[0]
+                raise NoConsistentMode(
+                    f"the new values of parameters let the {what} that joint {joint!r} holds jump "
+                    f"by {abs(jumps[opens[0]]):.3g}; let a variable of a controller flow there"
+                )
+    numbers = (np.array([c[:3] for c in one.contacts]).reshape(-1, 3) for one in (old, new))
+    return modes_after_jump(scene, setup.contacts, setup.tolerances, mode, *numbers)[0]
+
+
+def flow_after_move(flow: Flow, mode: Key) -> Flow:
+    """Return the flow of contacts in the modes that `modes_after_jump` returns."""
+    roles = zip(flow.mode, mode, flow.roles, roles_in(mode), strict=True)
+    moved = tuple(role if a == b else other for a, b, role, other in roles)
+    return flow._replace(mode=mode, roles=moved, settled=False)
+
+
+def _displacement_error(scene: Scene, contact: str, depth: float) -> NoConsistentMode:
+    surface, name = scene.surface_of(contact), scene.contacts[contact].surface
+    problem = f"surface {name!r} jumps {depth:.3g} deep into the point of {contact!r}"
+    if isinstance(surface, Reach):
         problem = f"rope {contact!r} jumps to {depth:.3g} below the distance of its ends"
+    elif isinstance(surface, Stop):
+        problem = f"limit {contact!r} jumps past the angle of its joint"
     return NoConsistentMode(
         f"{problem}; write a path that moves there in a time, or let a variable flow"
     )

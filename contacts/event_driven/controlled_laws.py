@@ -18,7 +18,7 @@ from contacts.dynamics.controllers import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneInstant, SceneSetup
 from contacts.dynamics.snapshot import close_compliant
-from contacts.dynamics.surface_jumps import modes_after_jump
+from contacts.dynamics.surface_jumps import flow_after_move, modes_after_jump
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
 from contacts.states import CLOSED, OPEN
@@ -135,16 +135,22 @@ class ControlledLaws:
             energy=(before_update.energy,) * 2,
         )
         flow = flow._replace(pending=self._queues.pending_after(firing.pending, jump))
-        following = self._parted(flow)
-        if contacts != following.mode:
-            roles = zip(following.mode, contacts, following.roles, roles_in(contacts), strict=True)
-            roles_after = tuple(role if a == b else other for a, b, role, other in roles)
-            following = following._replace(mode=contacts, roles=roles_after)
+        following = flow_after_move(self._parted(flow), contacts)
         if edge.guard is not None:
             watch = self._states.guards(controllers).watch
             early = watch.early(rows, firing.due, fired)
             following = following._replace(warning=early or following.warning)
         return jump, self._joined(setup, clock, following, states, after, flow)
+
+    def change(self, at: SceneInstant, before: SceneSetup) -> tuple[Jump | None, Flow]:
+        """Return the jump and the flow at a change of parameters, which may move surfaces."""
+        controllers = at.flow.mode[self._count :]
+        old, new = (self._within(setup, controllers) for setup in (before, at.setup))
+        inner = at._replace(setup=new, flow=self._parted(at.flow))
+        jump, flow = self._at(controllers).change(inner, old)
+        if jump is None:
+            return None, at.flow._replace(values=flow.values)
+        return self._joined_jump(at, jump, flow, controllers)
 
     def _closed(
         self, at: SceneInstant, joint: str, cause: str, states: Key, state: Array

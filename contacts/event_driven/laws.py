@@ -32,6 +32,7 @@ from contacts.dynamics.starting import (
     hovering_warnings,
     weak_coupling_warnings,
 )
+from contacts.dynamics.surface_jumps import flow_after_move, modes_after_change
 from contacts.event_driven.accumulation import close_immediately
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, choose_at_rest
@@ -289,6 +290,26 @@ class SceneLaws:
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [choice.place], choice)
         return self._enter(at, here, choice)
+
+    def change(self, at: SceneInstant, before: SceneSetup) -> tuple[Jump | None, Flow]:
+        """Return the jump and the flow at a change of parameters, which may move surfaces."""
+        setup, flow = at.setup, at.flow
+        if flow.values is not None:
+            offsets = self.numbers.gap_offsets
+            values = setup.values.copy()
+            values[offsets] = flow.values[offsets]
+            flow = flow._replace(values=values)
+        here = at.state, at.clock.high
+        target = modes_after_change(
+            self._mechanics.scene, setup, flow.mode, self.tape, before.values, here
+        )
+        if target == flow.mode:
+            return None, flow
+        energy = self.tape.at(setup.values, *here).energy
+        jump = at.jump(
+            *cause(self._names, flow.mode, target, False), target, energy=(energy, energy)
+        )
+        return jump, flow_after_move(flow, target)
 
     def close(self, at: SceneInstant, joint: str, cause: str) -> tuple[Jump, Flow]:
         """Close a joint: its points stop, and so do contacts that are closed, without rebound.

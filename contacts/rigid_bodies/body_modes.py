@@ -32,8 +32,9 @@ from statechart.kernels.jit import kernel
 # Sine of the angle below which a normal is that of the plate's face, not of its end.
 _PARALLEL = 1e-9
 
-HOVERS = 2
-"""In place of 1 in `WarmStart.modes`: the body falls within the gap at which it landed."""
+# Values of `WarmStart.modes[b, 1]`: the body settles; it does since an impact, whose impulses are
+# wrong by the order of the forces; it also falls within the gap at which it landed.
+SETTLES, LANDED, HOVERS = 1, 2, 3
 
 
 @kernel
@@ -42,8 +43,10 @@ def unsettle_bodies(warm: WarmStart, k: int, chunk: Chunk) -> bool:
     any_settles = False
     for b in range(len(warm.modes)):
         code = chunk.modes[k, b] = chunk.codes[k, b]
-        if warm.modes[b, 0] != code or chunk.struck[k, b]:
-            warm.modes[b, 1] = 1
+        if chunk.struck[k, b]:
+            warm.modes[b, 1] = max(warm.modes[b, 1], LANDED)
+        elif warm.modes[b, 0] != code:
+            warm.modes[b, 1] = max(warm.modes[b, 1], SETTLES)
         any_settles = any_settles or warm.modes[b, 1] != 0
     return any_settles
 
@@ -151,6 +154,22 @@ def _hovers(warm: WarmStart, space: Workspace, rates: Array, b: int, h: float, a
 
 
 @kernel
+def _is_explained(
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, count: int, b: int,
+    h: float,
+) -> bool:  # fmt: skip
+    """Return whether the fall within its landing gap explains all impacts of body b."""
+    active, free, sizes = space.active, np.zeros(2), np.zeros(2)
+    for i in range(count):
+        if active.bodies[i, 0] == b and active.hit[i] and space.pressed[i, 0] > 0.0:
+            _write_accelerations(numbers, active, i, rates[b, 2], h, free, sizes)
+            fall = math.sqrt(2.0 * sizes[0] * warm.landings[b, 0])
+            if -active.before[i, 0] > fall + LEFT * h * sizes[0]:
+                return False
+    return True
+
+
+@kernel
 def settle_bodies(
     numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, count: int, k: int,
     chunk: Chunk,
@@ -164,9 +183,12 @@ def settle_bodies(
     for b in range(len(counts)):
         if warm.modes[b, 1] == 0:
             continue
-        warm.modes[b, 1] = 1
+        hovers = warm.modes[b, 1] == HOVERS
+        warm.modes[b, 1] = min(warm.modes[b, 1], LANDED)
         if counts[b] < 0:
             continue
+        if hovers and chunk.struck[k, b]:
+            chunk.struck[k, b] = not _is_explained(numbers, warm, space, rates, count, b, chunk.h)
         mode = FREE
         if counts[b] > 0:
             mode = _body_mode(numbers, warm, space, rates, count, b, k, chunk)
@@ -194,6 +216,19 @@ def _write_cone(
     """Write the friction cone of contact i that slips, or rests (0)."""
     law, at = numbers.materials[active.laws[i]], 0 if direction == 0.0 else KINETIC
     cone[0], cone[1] = law[at], law[at + 1]
+
+
+@kernel
+def _combine_modes(accelerations: Array, slips: Array, slides: Array, cones: Array) -> int:
+    """Return the mode of a body whose contacts have these accelerations (m, 2)."""
+    mode = FREE
+    for a in range(len(slips)):
+        one = mode_of_acceleration(accelerations[a], slips[a], slides[a] == 0.0, cones[a], False)
+        if one == PIN:
+            return PIN
+        if one != FREE:
+            mode = SLIDE
+    return mode
 
 
 @kernel
@@ -254,12 +289,9 @@ def _body_mode(
         solved, _ = solve_accelerations(*problem, directions, terms, forced, sums)
     if not solved:
         return chunk.codes[k, b]
-    mode = FREE
-    for a in range(m):
-        clear_first_order_zeros(forced[a], sums[a], per_speed)
-        one = mode_of_acceleration(accelerations[a], slips[a], slides[a] == 0.0, cones[a], False)
-        if one == PIN:
-            return PIN
-        if one != FREE:
-            mode = SLIDE
+    mode = _combine_modes(forced, slips[:m], slides, cones)
+    if warm.modes[b, 1] == LANDED or mode != chunk.codes[k, b]:
+        for a in range(m):
+            clear_first_order_zeros(forced[a], sums[a], per_speed)
+        mode = _combine_modes(forced, slips[:m], slides, cones)
     return mode

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from contacts.dynamics.starting import (
     check_start,
     hovering_warnings,
 )
-from contacts.dynamics.surface_jumps import modes_after_jump
+from contacts.dynamics.surface_jumps import modes_after_change, modes_after_jump
 from contacts.scene.lint import NEARLY_MEETING, goes_off_warning, stays_off_warning
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent_rows
@@ -155,6 +155,11 @@ class SteppedTapes(Controllers):
         self.at = cache(lambda states: SteppedTape(mechanics, self.named(states)))
         self.conditions = cache(lambda states: Conditions(mechanics, self.named(states)))
 
+    @cached_property
+    def snapshots(self) -> SnapshotTape:
+        """Snapshots of a scene without controllers."""
+        return SnapshotTape(self._mechanics)
+
 
 class SteppedScene(SteppedSystem):
     """One run of a scene of points on surfaces.
@@ -194,9 +199,13 @@ class SteppedScene(SteppedSystem):
         self._saved = self._step_state.copy()
         self._swing = self._length = 0.0
 
-    def change(self, values: Mapping[str, float]) -> SceneSetup:
-        """Change the values of parameters; return the setup."""
-        setup = self._numbers.at(values, RELATIVE, stepped=True)
+    def change(self, values: Mapping[str, float], state: Array, time: float) -> SceneSetup:
+        """Change the values of parameters at a state and time; return the setup.
+
+        Raises `NoConsistentMode` if a surface jumps into a point, or a joint opens.
+        """
+        setup, tape = self._numbers.at(values, RELATIVE, stepped=True), self._tapes.snapshots
+        modes_after_change(self._source.scene, setup, self._mode, tape, self._values, (state, time))
         self._values = setup.values
         self._use(self._source, setup.contacts)
         return setup
@@ -210,8 +219,7 @@ class SteppedScene(SteppedSystem):
         self._use(self._tapes.at(tuple(states.values())), contacts)
         if not was.scene.leading:
             return {}, False
-        memory, codes = self._step_state.contacts, self._step_state.codes
-        mode = tuple(STATES[i] for i in np.where(memory.disabled, OFF_CODE, codes).tolist())
+        memory, codes, mode = self._step_state.contacts, self._step_state.codes, self._mode
         old = was.contacts(self._values, before, time)[:, :3]
         now = self._source.contacts(self._values, after, time)[:, :3]
         tolerances = {"gap": self._near, "speed": self._still}
@@ -227,6 +235,12 @@ class SteppedScene(SteppedSystem):
         for i, code in switched.items():
             codes[i] = memory.modes[i] = code
         return switched, bool((closed & parts & (now[:, 1] < -self._still)).any())
+
+    @property
+    def _mode(self) -> Key:
+        """The last modes of the contacts."""
+        memory, codes = self._step_state.contacts, self._step_state.codes
+        return tuple(STATES[i] for i in np.where(memory.disabled, OFF_CODE, codes).tolist())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Set equations and coefficients."""

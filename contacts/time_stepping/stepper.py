@@ -94,8 +94,8 @@ class RunInputs(NamedTuple):
     controls: Key  # Initial states of controllers.
     solved: Array  # (u,): unknowns at the start, NaN if unknown.
     failure: SimulationError | None = None  # Why no step can be taken.
-    # Changes values of parameters and returns the setup; None if unsupported.
-    change: Callable[[Mapping[str, float]], SceneSetup] | None = None
+    # Changes values of parameters at a state and time, and returns the setup; None if unsupported.
+    change: Callable[[Mapping[str, float], Array, float], SceneSetup] | None = None
 
 
 # Largest chunk, within which no signal is handled, and its target of iterations times contacts,
@@ -568,7 +568,11 @@ class Stepper(ABC):
             changed = sampling.control(Sample(run.time, mode, state))
             if changed:
                 parameters |= changed
-                setup = inputs.change(parameters)
+                try:
+                    setup = inputs.change(parameters, run.state, run.time)
+                except SimulationError as error:
+                    run.end(Outcome[error.outcome], f"t = {run.time:.6g}: {error}")
+                    break
                 run.stops.change(setup, run.time, run.state, run.request.step)
         recorder.close()
         yield from fresh()

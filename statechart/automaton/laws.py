@@ -172,6 +172,12 @@ class Laws(Protocol):
         A flow without a jump keeps the mode, with other equations or another initial state.
         """
 
+    def change(self, at: InstantOf[Any], before: Any) -> tuple[Jump | None, Flow]:
+        """Return the jump, if there is one, and the flow at a change of parameters.
+
+        `before` is the setup with the old values, `at` has that with the new ones.
+        """
+
     def accumulate(
         self, setup: Any, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:

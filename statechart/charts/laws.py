@@ -248,6 +248,10 @@ class ChartLaws:
         )
         return jump, self._with_tolerances(setup, clock, following, after)
 
+    def change(self, at: Instant, before: Setup) -> tuple[Jump | None, Flow]:
+        """Return the flow at a change of parameters, which moves no constraints."""
+        return None, at.flow
+
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:

@@ -25,6 +25,7 @@ from statechart.documents.fields import (
     ValueName,
     check_names,
     check_relation,
+    replace_fields,
     value_of,
 )
 from statechart.documents.outputs import Integral, Output, check_output, formula_of
@@ -257,7 +258,7 @@ class Declaration(Part):
                 )
             with located(None, {}, ("parameters", name)):
                 parse(text)
-        made = self.model_copy(update={"parameters": {**self.parameters, **values}})
+        made = replace_fields(self, parameters={**self.parameters, **values})
         with located(None, {}):
             made.check_values(made.values())
         return made

@@ -154,7 +154,11 @@ class Execution:
     def _change(self, overrides: Mapping[str, float]) -> bool:
         setup = self.automaton.setup(overrides, self.engine.tolerance)
         self.zeros, self.entered = setup.zeros, {}
+        before = self.setup
         self.setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
+        jump, self.flow = self.automaton.laws_of_events.change(self._instant(), before)
+        if jump is not None:
+            self.record.add_jump(jump)
         return self.settle()
 
     def begin(self) -> bool:

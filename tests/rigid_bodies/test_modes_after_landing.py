@@ -66,3 +66,57 @@ def test_a_landing_box_has_the_events_of_its_corners(name):
     shaped, exact = events(name, True), events(name, False)
     assert [mode for _, mode in shaped] == [mode for _, mode in exact]
     assert [t for t, _ in shaped] == pytest.approx([t for t, _ in exact], abs=4 * STEP)
+
+
+PUSHED = """
+kind: scene
+name: pushed
+parameters: {rate: 6, mu: 0.5}
+gravity: 9.81
+bodies:
+  b:
+    mass: 1
+    inertia: 0.08/3
+    shape: {polygon: [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]}
+    start: {y: 0.2}
+surfaces: {floor: {height: 0}}
+forces: {push: {body: b, force: [rate*time, 0], at: [0, 0.1]}}
+collisions: {all: {bodies: [b], surfaces: [floor], friction: mu, restitution: 0}}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-3}
+outputs: {slips: {value: time, at: each b.slip}}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4])
+@pytest.mark.parametrize("rate", [4.95, 6.0, 12.0])
+def test_slow_slip_begins_where_friction_is_exceeded(rate: float, step: float) -> None:
+    found = Runner(interpret(read_text(PUSHED)), step=step).run({"rate": rate}).outputs["slips"]
+    assert found == pytest.approx([0.5 * 9.81 / rate], abs=1.01 * step)
+
+
+WHEEL = f"""
+kind: scene
+name: rimless_wheel
+parameters: {{slope: 0.1, lean: slope - pi/8, w: 1.2}}
+gravity: 9.81
+bodies:
+  wheel:
+    mass: 1
+    inertia: 0.3
+    shape: {{polygon: [{", ".join(f"[sin({k}*pi/4), -cos({k}*pi/4)]" for k in range(8))}]}}
+    start: {{x: sin(lean), y: cos(lean), angle: -lean,
+      dx: cos(lean)*w, dy: -sin(lean)*w, dangle: -w}}
+surfaces: {{ground: {{incline: -slope}}}}
+collisions: {{all: {{bodies: [wheel], surfaces: [ground], friction: 5, restitution: 0}}}}
+stop: {{time: 2}}
+settings: {{engine: impulse, step: 1e-3}}
+outputs: {{strikes: {{value: time, at: each wheel.impact}}}}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4, 5e-5])
+def test_corner_that_falls_over_its_landing_gap_strikes_once(step: float) -> None:
+    # Own integration of the angle, and McGeer's ratio of rates at a strike.
+    found = Runner(interpret(read_text(WHEEL)), step=step).run({}).outputs["strikes"]
+    assert found == pytest.approx([0.7331569, 1.4295423], abs=4 * step)

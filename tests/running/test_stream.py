@@ -134,3 +134,76 @@ def test_invalid_values_of_a_control_are_reported_with_their_place() -> None:
     pieces = runner.stream(every=0.5, control=lambda sample: {"mu": -1.0})
     with pytest.raises(DeclarationError, match=r"^pushed.yaml:10:.*must be zero or positive"):
         list(pieces)
+
+
+SURFACES = """\
+kind: scene
+name: surfaces
+parameters: {v: 0, h: 0, wind: 0, g: 10}
+gravity: g
+bodies:
+  ball: {mass: 1, start: {y: 0.8, dx: 0.3}}
+  block: {mass: 1}
+  stone: {mass: 1, start: {y: 4}}
+surfaces:
+  hill: {height: 0.1*sin(x) + 0*h}
+  belt: {height: h, displacement: [v*time, 0]}
+joints:
+  rope: {point: {body: stone}, to: [0, 5], rope: 1 - h/2}
+contacts:
+  hop: {point: {body: ball}, surface: hill, friction: 0, restitution: 0.9}
+  base: {point: {body: block}, surface: belt, friction: 0.5, restitution: 0}
+forces:
+  gust: {body: ball, force: [wind, 0]}
+stop: {time: 1}
+"""
+HINGE = """\
+kind: scene
+name: hinge
+parameters: {place: 0, w: 0}
+bodies: {arm: {mass: 1, inertia: 1}}
+joints: {pivot: {point: {body: arm}, to: ["place + w*(time - 0.5)", 0], limits: [w - 1, 1 + place]}}
+stop: {time: 1}
+"""
+ENGINES = [{"engine": "taylor"}, {"engine": "scipy"}, {"engine": "impulse", "step": 1e-4}]
+
+
+def changed(text: str, values: Mapping[str, float], engine: Mapping[str, object]) -> list[object]:
+    """Return the pieces of a run whose parameters change at 0.5."""
+    runner = Runner(read_text(text), **engine)  # type: ignore[arg-type]
+    control = lambda sample: values if sample.t == pytest.approx(0.5) else None  # noqa: E731
+    return list(runner.stream(every=0.5, control=control))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_new_values_of_parameters_move_surfaces_but_no_bodies(engine: Mapping[str, object]) -> None:
+    pieces = changed(SURFACES, {"v": 0.4, "h": -0.2, "wind": 3.0}, engine)
+    near = 2e-3 if "step" in engine else 1e-9
+    plain = [piece for piece in changed(SURFACES, {}, engine) if isinstance(piece, Arc)][-1]
+    last = [piece for piece in pieces if isinstance(piece, Arc)][-1]
+    ball, calm = (arc.coefficients[-1].sum(axis=1) for arc in (last, plain))
+    # The wind acts on the ball in flight, after its first impact.
+    assert ball[[0, 6]] - calm[[0, 6]] == pytest.approx([3 * 0.5**2 / 2, 1.5], abs=near)
+    jumps = {(j.region, j.cause): j.t for j in pieces if isinstance(j, Jump)}
+    # The block falls by 0.2 on the belt, the stone by 0.1 until its longer rope is taut.
+    assert jumps["base", "touchdown"] == pytest.approx(0.5 + math.sqrt(0.04), abs=near)
+    assert jumps["rope", "touchdown"] == pytest.approx(0.5 + math.sqrt(0.02), abs=near)
+    # The impact of 2 m/s has more friction than the belt's 0.4 m/s.
+    assert ball[8] == pytest.approx(0.4, abs=near)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("text", "values", "message"),
+    [
+        (SURFACES, {"h": 0.1}, "surface 'belt' jumps 0.1 deep|rope 'rope' jumps to 0.05 below"),
+        (HINGE, {"place": 0.3}, "position that joint 'pivot' holds jump by 0.3"),
+        (HINGE, {"w": 0.3}, "velocity that joint 'pivot' holds jump by 0.3"),
+        (HINGE, {"place": -1.3}, "joint 'pivot' holds jump by 1.3"),
+    ],
+)
+def test_new_values_that_break_a_constraint_end_the_run(
+    text: str, values: Mapping[str, float], message: str, engine: Mapping[str, object]
+) -> None:
+    with pytest.raises(NoConsistentMode, match=message):
+        changed(text, values, engine)
