@@ -118,7 +118,7 @@ def solve_rows(
         if anew or goal > VERIFIED or count == 1:
             error, steps = gauss_seidel(contacts, q, size, error, trial, goal, _SWEEPS)
             iterations += steps
-        if error > goal or at_rest:
+        if error > goal or (at_rest and count > 1):
             error, steps = solve_by_proximal_points(contacts, q, trial, goal)
             iterations += steps
         if error < best:

@@ -45,9 +45,9 @@ the residual: bodies at rest do not creep."""
 # convergence and after failure.
 _FIRST, _MIN_COMPLIANCE, _LARGEST = 1e-2, 1e-8, 1.0
 _FALLS, _GROWS = 0.5, 4.0
-# Residual ratio of successive centres below which another one pays; at the smallest compliance,
-# where a good warm start begins, the first is the last.
-_FURTHER = 0.9
+# Residual ratio of successive centres below which another one pays, and below which the factored
+# equations are kept for it; residual of round-off.
+_FURTHER, _FAST, _EXACT = 0.9, 0.1, 1e-15
 # Compliances and iteration limit of the refinement of a status. An iteration leaves the larger of
 # compliance times own over joint compliances, and round-off over its square: the second one for
 # pins that nearly imply each other (feet of a box that is level to 1e-3).
@@ -209,14 +209,18 @@ def _take_step(
 @kernel
 def _iterate_newton(
     contacts: ContactRows, equations: Equations, q: Array, begins: float, now: Array,
-    centre: Array, compliance: float, rates: Array, status: Ints, edges: Array,
+    centre: Array, compliance: float, rates: Array, status: Ints, edges: Array, factored: bool,
 ) -> tuple[bool, int]:  # fmt: skip
-    """Take Newton steps to a proximal point, in place; return convergence, and iterations."""
+    """Take Newton steps to a proximal point, in place; return convergence, and eliminations.
+
+    `factored`: the equations hold for this compliance and status.
+    """
     for taken in range(_SETTLING + 1):
         changed = _find_status(contacts, q, begins, now, centre, compliance, rates, status, edges)
-        if taken > 0 and not changed:
+        if not changed and (factored or taken > 0):
             # A small compliance costs digits, which a second step recovers.
-            _take_step(contacts, equations, q, now, centre, compliance, rates, status, edges)
+            if taken == 0 or compliance < _REFINING:
+                _take_step(contacts, equations, q, now, centre, compliance, rates, status, edges)
             return True, taken
         if taken == _SETTLING or not assemble_and_factor(
             contacts, equations, compliance, status, edges
@@ -408,13 +412,16 @@ def solve_by_proximal_points(
     exact = falls = tolerance <= VERIFIED
     # Near a solution the status is known: a small compliance solves it in one step.
     compliance = min(max(lowest, _MIN_COMPLIANCE), _FIRST) if exact else _FIRST
+    factored = 0.0  # The compliance of factored equations.
     iterations = idle = 0
     most = min(_MAX_ITERATIONS, _MAX_PRODUCTS // count)
     while iterations < most and idle < _IDLE and (lowest > tolerance or falls):
         converged, taken = _iterate_newton(
-            contacts, equations, q, 0.0, now, centre, compliance, rates, status, edges
-        )
+            contacts, equations, q, 0.0, now, centre, compliance, rates, status, edges,
+            compliance == factored,
+        )  # fmt: skip
         iterations += taken
+        factored = compliance if converged else 0.0
         if not converged and has_last:
             copy_rows(centre, now)
             status[:], edges[:] = last_status, last_edges
@@ -426,7 +433,8 @@ def solve_by_proximal_points(
             write_velocity_change(contacts, now, rates)
             error = residual(contacts, q, size, now, rates)
             idle += 1 if compliance == _MIN_COMPLIANCE else 0
-            falls = exact and compliance > _MIN_COMPLIANCE and error < _FURTHER * lowest
+            falls = exact and _EXACT < error < _FURTHER * lowest
+            fast = compliance <= _REFINING and error < _FAST * lowest
             if error < lowest:
                 lowest, idle = error, 0
                 copy_rows(now, impulses)
@@ -436,7 +444,10 @@ def solve_by_proximal_points(
                     shift[i, d] = compliance * contacts.own[i, d] * away
             copy_rows(now, centre)
             last_status[:], last_edges[:], has_last = status, edges, True
-            compliance = max(_FALLS * compliance, _MIN_COMPLIANCE)
+            if exact and taken <= 1 and compliance > _REFINING:
+                compliance = _REFINING
+            elif not fast:
+                compliance = max(_FALLS * compliance, _MIN_COMPLIANCE)
         elif compliance >= _LARGEST or lowest <= tolerance:
             break
         else:
