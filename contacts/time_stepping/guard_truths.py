@@ -361,8 +361,9 @@ class StepTruths:
             return None
         known = np.isfinite(np.hstack([chunk.states[1:], chunk.solved]))
         unknown &= np.all(known, axis=1, keepdims=True)
+        # Guards without atoms ask for states alone.
         parts = [
-            unknown[:, first : first + len(condition.atoms)].all(axis=1)
+            unknown[:, first : first + len(condition.atoms)].all(axis=1) & bool(condition.atoms)
             for _, condition, first in self._watch.placed
         ]
         lost = np.argwhere(np.stack(parts, axis=1)).tolist()
