@@ -206,8 +206,8 @@ def time_in_contact(start: float, rate: float, h: float) -> float:
 
     `start`, `rate`: gap and its rate at the start of the step.
     """
-    if start > 0.0 > start + h * rate and h + start / rate > 0.0:
-        return h + start / rate
+    if start > 0.0 >= start + h * rate:
+        return max(h + start / rate, TIME_MARGIN * h)
     return h
 
 

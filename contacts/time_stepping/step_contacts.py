@@ -192,7 +192,8 @@ def find_active(
             met.active[i], met.bias[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
             continue
         if scene.compliance[i, 0] > 0.0:
-            met.active[i] = gap - 0.5 * h * abs(before[0]) <= scene.gap_tolerance
+            start, end = gap - 0.5 * h * before[0], gap + 0.5 * h * before[0]
+            met.active[i] = start <= scene.gap_tolerance or end <= 0.0
             met.bias[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
