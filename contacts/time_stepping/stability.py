@@ -15,6 +15,7 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
+from contacts.solvers.dependence import null_space
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.margin_derivatives import derivative
 from statechart.errors import StepTooLarge
@@ -29,8 +30,6 @@ stiffness k and damping d per mass."""
 _COARSE = 0.5
 # Recommended radians, or relative velocity change, per step.
 _FINE = 0.1
-# Relative tolerance of equal directions.
-DEPENDENT = 1e-9
 CHANGE = 1e-6
 """Step of the finite differences of forces, relative to the size of a body."""
 # Regularisation of the Gram matrix of held directions, which may be redundant.
@@ -76,13 +75,9 @@ class StepLimits:
     """Stability and force quadrature of the steps of a scene."""
 
     def __init__(self, mechanics: Mechanics, forces: Sequence[sp.Expr]) -> None:
-        self._size = len(mechanics.q)
         stiffness = [-derivative(force, place) for force in forces for place in mechanics.q]
-        mass = mechanics.dense(mechanics.mass_matrix)
-        self._stiffness = (
-            mechanics.tape([*mass, *stiffness]) if any(entry != 0 for entry in stiffness) else None
-        )
-        self._mass = mechanics.tape(mass)
+        springs = any(entry != 0 for entry in stiffness)
+        self._stiffness = mechanics.tape(stiffness) if springs else None
         changing = {
             *mechanics.q,
             *mechanics.v,
@@ -92,19 +87,16 @@ class StepLimits:
         varies = any(force.free_symbols & changing for force in forces)
         self._forces = mechanics.tape(forces) if varies else None
 
-    def swings(self, values: Array, state: Array, time: float, held: Array) -> Swings | None:
+    def swings(
+        self, mass: Array, values: Array, state: Array, time: float, held: Array
+    ) -> Swings | None:
         """Return the oscillations of springs orthogonal to the rows `held`; None without any."""
         if self._stiffness is None:
             return None
-        n = self._size
-        mass, stiff = self._stiffness.values(state, values, time).reshape(2, n, n)
+        stiff = self._stiffness.values(state, values, time).reshape(mass.shape)
         if not (np.isfinite(mass).all() and np.isfinite(stiff).all()):
             return None
-        free = np.eye(n)
-        if len(held):
-            _, sizes, rows = np.linalg.svd(held)
-            rank = int((sizes > DEPENDENT * sizes[0]).sum()) if sizes[0] > 0.0 else 0
-            free = rows[rank:].T
+        free = null_space(held)
         if free.shape[1] == 0:
             return None
         squares, shapes = np.linalg.eig(
@@ -119,10 +111,12 @@ class StepLimits:
             (np.linalg.pinv(shapes) @ free.T)[swinging],
         )
 
-    def missed(self, values: Array, start: float, h: float, states: Array) -> Array | None:
+    def missed(
+        self, mass: Array, values: Array, start: float, h: float, states: Array
+    ) -> Array | None:
         """Return the velocities (k, n) by the force quadrature error of steps; None without any."""
-        tape, n, count = self._forces, self._size, len(states) - 1
-        if tape is None or not count:
+        tape, n, count = self._forces, len(mass), len(states) - 1
+        if tape is None or not np.isfinite(mass).all():
             return None
         lines = np.stack([states[:-1], np.diff(states, axis=0)], -1)
         rates = slice(n, 2 * n)
@@ -131,9 +125,6 @@ class StepLimits:
         sums, _ = integrate_outputs(tape.parts, steps, 0.0, h * count)
         middles = start + h * (np.arange(count) + 0.5)
         errors = sums - h * tape.table(lines @ (1.0, 0.5), values, middles)
-        mass = self._mass.values(states[0], values, start).reshape(n, n)
-        if not np.isfinite(mass).all():
-            return None
         # A coordinate without inertia has no independent velocity.
         inverse = np.linalg.pinv(mass, hermitian=True)
         return np.where(np.isfinite(errors), errors, 0.0) @ inverse
