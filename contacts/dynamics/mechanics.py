@@ -40,6 +40,7 @@ from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.states import CLOSED, DISENGAGED, OFF
 from statechart.automaton.regions import Hold, Margin
+from statechart.documents.fields import replace_fields
 from statechart.errors import NoConsistentMode
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
@@ -549,12 +550,11 @@ class Mechanics(Geometry):
         surface = self.scene.surfaces[contact.surface]
         for other in self.scene.contacts.values():
             neighbour = self.scene.surfaces[other.surface]
-            same_edge = {"edge": surface.edge}
             if (
                 surface.edge is None
                 or neighbour.edge is None
                 or (other.point, other.radius) != (contact.point, contact.radius)
-                or neighbour.model_copy(update=same_edge) != surface
+                or replace_fields(neighbour, edge=surface.edge) != surface
             ):
                 continue
             edge, next_edge = self._corners(surface.edge), self._corners(neighbour.edge)

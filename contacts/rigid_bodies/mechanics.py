@@ -29,7 +29,7 @@ from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
 from contacts.time_stepping.stability import CHANGE, Stiffness, stiffness
 from statechart.arrays import Array, Ints
-from statechart.documents.fields import value_of
+from statechart.documents.fields import replace_fields, value_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
@@ -182,8 +182,7 @@ class BodyMechanics(Mechanics):
         owners = scene.owners()
         self.owners = tuple(owners.values())
         kinds = {
-            name: body.model_copy(update={"copies": None, "start": {}})
-            for name, body in scene.bodies.items()
+            name: replace_fields(body, copies=None, start={}) for name, body in scene.bodies.items()
         }
         single = {
             name: _at_its_place(scene.bodies[owner], name.removeprefix(owner))
@@ -191,7 +190,7 @@ class BodyMechanics(Mechanics):
             else kinds[owner]
             for name, owner in owners.items()
         }
-        expanded = scene.model_copy(update={"bodies": single})
+        expanded = replace_fields(scene, bodies=single)
         parameters = body_parameters(scene, len(expanded.variables))
         super().__init__(expanded, parameters)
         self.starts = Starts(scene, parameters)
@@ -204,8 +203,9 @@ class BodyMechanics(Mechanics):
         copies_of: dict[str, list[str]] = {}
         terms: list[sp.Expr] = []
         if self.linked is not None:
-            own = {x: self.known[name] for name, x in self.linked.known.items()}
-            terms.append(self.linked.energy.xreplace(own))
+            known, energy = self.linked.known, self.linked.energy
+            own = {x: self.known[name] for name, x in known.items() if x in energy.free_symbols}
+            terms.append(energy.xreplace(own))
         for name, owner in zip(self.scene.bodies, self.owners, strict=True):
             if self.scene.bodies[name].coordinates:
                 copies_of.setdefault(owner, []).append(name)
@@ -339,7 +339,7 @@ def _at_its_place(body: Body, number: str) -> Body:
     """Return a prescribed body, or its copy of this number, with its path as position."""
     one = body if body.copies is None else body.numbered(int(number))
     x, y, angle = one.path
-    return one.model_copy(update={"position": (x, y), "angle": angle, "start": {}})
+    return replace_fields(one, position=(x, y), angle=angle, start={})
 
 
 def _times(factor: sp.Expr, total: sp.Expr) -> sp.Expr:

@@ -15,7 +15,14 @@ from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
 from statechart.charts.wrapping import STATE, Count
 from statechart.documents.documented import declare
-from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, check_names
+from statechart.documents.fields import (
+    FiniteText,
+    FormulaText,
+    NameText,
+    ValueName,
+    check_names,
+    replace_fields,
+)
 from statechart.errors import DeclarationProblem, Loc, close_matches
 from statechart.formulas.formula import Formula, parse
 
@@ -83,7 +90,7 @@ class Controller(ControlRegion):
         controller = cls(initial=STATE, states=states, transitions=count.transitions)
         controller._count = count
         # The name has a dot, which no declared variable has.
-        return controller.model_copy(update={"variables": {count.variable: count.initial}})
+        return replace_fields(controller, variables={count.variable: count.initial})
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.states import CLOSED, OFF
 from statechart.charts.transitions import Transition
 from statechart.documents.declaration import TIME
-from statechart.documents.fields import FiniteText, FormulaText
+from statechart.documents.fields import FiniteText, FormulaText, replace_fields
 from statechart.errors import DeclarationProblem
 from statechart.formulas.condition import InState, Or
 from statechart.formulas.formula import parse
@@ -144,7 +144,7 @@ def _in_joint(scene: SceneFields, coupling: Coupling) -> Coupling:
     if joint is None or not is_switched(joint):
         return coupling
     closed = f"in({coupling.joint}.{CLOSED})"
-    return coupling.model_copy(update={"enabled": (*coupling.enabled, closed)})
+    return replace_fields(coupling, enabled=(*coupling.enabled, closed))
 
 
 def _check_names(scene: SceneFields, added: AbstractSet[str]) -> None:
@@ -207,7 +207,7 @@ def _region(scene: SceneFields, name: str, joint: Joint, start: _Start) -> Contr
         ),
     )
     # Names with a dot, which no declared variable has.
-    return region.model_copy(update={"variables": dict.fromkeys(captures, 0)})
+    return replace_fields(region, variables=dict.fromkeys(captures, 0))
 
 
 def joints_judged_at_start(scene: SceneFields) -> dict[str, int]:
@@ -327,11 +327,10 @@ def _as_captured(name: str, joint: Joint) -> Joint:
     if joint.rest is None:
         return joint
     if isinstance(joint.to, Point):
-        return joint.model_copy(
-            update={"to": Point(body=joint.to.body, at=(f"{name}.x", f"{name}.y"))}
-        )
+        end = Point(body=joint.to.body, at=(f"{name}.x", f"{name}.y"))
+        return replace_fields(joint, to=end)
     to = {
         axis: None if (text := getattr(joint.to, axis)) is None else f"{text} + {name}.{axis}"
         for axis in ("x", "y")
     }
-    return joint.model_copy(update={"to": Path(**to)})
+    return replace_fields(joint, to=Path(**to))

@@ -31,7 +31,14 @@ from statechart.automaton.regions import Claim, Edge, Region, State
 from statechart.charts.flatten import timer_dimension
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.documented import declare
-from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, value_of
+from statechart.documents.fields import (
+    FiniteText,
+    FormulaText,
+    NameText,
+    ValueName,
+    replace_fields,
+    value_of,
+)
 from statechart.documents.quantities import (
     POWERS,
     Dimension,
@@ -294,7 +301,7 @@ class SceneFields(Declaration):
             further = {*used_names(texts)} & (self.parameters.keys() - deciding)
             deciding |= further
         chosen = {name: value for name, value in overrides.items() if name in deciding}
-        return self.model_copy(update={"parameters": {**self.parameters, **chosen}})
+        return replace_fields(self, parameters={**self.parameters, **chosen})
 
     def rate_name(self, coordinate: str) -> str:
         """Return the name of the rate of `coordinate`: stick.x -> stick.dx, theta -> dtheta."""

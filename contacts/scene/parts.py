@@ -19,6 +19,7 @@ from statechart.documents.fields import (
     FormulaText,
     OneRelation,
     Part,
+    replace_fields,
 )
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -168,7 +169,7 @@ class Body(Part):
         update: dict[str, object] = {"start": {key: own(text) for key, text in self.start.items()}}
         if self.position is not None:
             update |= {"position": tuple(map(own, self.position)), "angle": own(self.angle)}
-        return self.model_copy(update={**update, "copies": None})
+        return replace_fields(self, **update, copies=None)
 
     @property
     def prescribed(self) -> bool:

@@ -32,7 +32,7 @@ from statechart.charts.flatten import causes_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.charts.wrapping import check_wrapping, count_periods
 from statechart.documents.declaration import TIME
-from statechart.documents.fields import check_names, check_relation, value_of
+from statechart.documents.fields import check_names, check_relation, replace_fields, value_of
 from statechart.documents.outputs import check_member
 from statechart.errors import DeclarationProblem, Findings, Loc
 from statechart.formulas.formula import parse
@@ -71,7 +71,7 @@ class Scene(SceneFields):
         if len(self.contacts) < 2 and not self.collisions:
             return {}
         return {
-            f"simultaneous: {choice}": self.model_copy(update={"simultaneous": choice})
+            f"simultaneous: {choice}": replace_fields(self, simultaneous=choice)
             for choice in get_args(Simultaneous)
             if choice != self.simultaneous
         }

@@ -19,7 +19,7 @@ from contacts.scene.couplings import Coupling
 from contacts.scene.friction import SLIP, StaticKinetic
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
-from statechart.documents.fields import FormulaText, Part
+from statechart.documents.fields import FormulaText, Part, replace_fields
 from statechart.errors import DeclarationError
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import Relation, parse_relation
@@ -213,7 +213,7 @@ class _Change:
         name = next(n for n, one in self.declared.couplings.items() if one is coupling)
         size = abs(self._couple(name)[0])
         limit = coupling.limit
-        fields = coupling.model_copy(update={"limit": 0}).model_dump(exclude_unset=True)
+        fields = replace_fields(coupling, limit=0).model_dump(exclude_unset=True)
         fields["enabled"] = tuple(map(self._relation, coupling.enabled))
         if isinstance(limit, StaticKinetic):
             static, kinetic = (self._formula(text, size) for text in coupling.bounds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from contextlib import suppress
@@ -198,6 +199,16 @@ def contact_role(
         # It rests where it has landed: above zero it would fall and land again in every few steps.
         return HIT, min(gap, near), above
     return SEPARATED, level, above
+
+
+@kernel
+def curvature_speed(towards: float, depth: float) -> float:
+    """Return the approach velocity, over `SLOW`, that curvature explains at a depth.
+
+    After a tangential touch a surface that curves `towards` a point, with this acceleration,
+    approaches at ``sqrt(2 towards depth)``, or somewhat slower if the curvature grows.
+    """
+    return math.sqrt(towards * depth) if towards > 0.0 and depth > 0.0 else 0.0
 
 
 @kernel

@@ -10,7 +10,7 @@ import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,7 @@ from contacts.time_stepping.guard_truths import (
     reversed_warning,
 )
 from contacts.time_stepping.recorder import Recorder
-from statechart.arrays import Array, Bools
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Arc, Jump, Key
@@ -71,6 +71,9 @@ class StepControl:
         self._states, self._setup, self._scene = controllers, setup, scene
         self._mechanics = mechanics
         self._queues = EventQueues(regions, controllers.flat)
+        edges = chain.from_iterable(one.edges for one in regions[: len(regions) - len(states)])
+        events = {event for edge in edges for event in (edge.cause, edge.target)}
+        self._listens = any(flat.awaited & events for flat in controllers.flat.values())
         self._active = ActiveStates(regions)
         self.states = states
         self._begun = False
@@ -138,7 +141,7 @@ class StepControl:
             # Simultaneous jumps of several contacts are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._queues.pending_after(pending, jump)
-        failed, held = set[tuple[int, int]](), None
+        failed, held, between = set[tuple[int, int]](), None, list[Ints]()
         if not self._begun:
             self._begun = True
             # No guard was true before the start.
@@ -161,9 +164,12 @@ class StepControl:
             )
             if firing is None:
                 self._warn_of_left_out(jumps, end)
+                self._warn_between(between, recorder, end)
                 self._warn_of_reversed((held & self._became_true) - hold, end)
                 return end
             failed = {one for one in self._chosen(~truths) if one[0] != firing.place}
+            if self._listens and end.after_transitions and end.next_step is not None:
+                between.append(end.next_step.modes[0])
             jump, end = self._take(firing, recorder, end, struck)
             pending = self._queues.pending_after(firing.pending, jump)
             if self.strikes:
@@ -250,6 +256,23 @@ class StepControl:
                     event = _event(jump, name, cause)
                     if self._waiting(event, end) and self._strikes_coupling(jump, place):
                         self._warn_of(event, why, end)
+
+    def _warn_between(self, between: Sequence[Ints], recorder: Recorder, end: StepEnd) -> None:
+        """Warn of events of contacts by modes (r,) that last between transitions of an instant."""
+        for modes in between:
+            for i in np.flatnonzero(modes != end.codes).tolist():
+                if end.next_step is None or end.next_step.modes[0, i] == modes[i]:
+                    continue  # The event is in the next step.
+                state, key = STATES[int(modes[i])], recorder.key
+                there = (*key[:i], state, *key[i + 1 :])
+                for before, after in ((key, there), (there, key)):
+                    self._warn_of(
+                        Jump(end.time, 0, "", "", before, after, end.state, end.state),
+                        f"{recorder.regions[i]} is {state} between transitions at t = "
+                        f"{end.time:.6g}, which steps leave out, but {{}} waits for that; let "
+                        "the second transition come a step later",
+                        end,
+                    )
 
     def due_at_start(self, end: StepEnd) -> set[tuple[int, int]]:
         """Return the guards due at the start, by region and trigger."""

@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.scales import Scales
+from contacts.solvers.dependence import USER_DIGITS
 from contacts.solvers.step_impulses import coordinate_impulses, coordinate_rows, new_island
 from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.scene_tape import SteppedTape
-from contacts.time_stepping.stability import DEPENDENT, Swings
+from contacts.time_stepping.stability import Swings
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.kernels.jit import kernel
@@ -62,7 +63,7 @@ def velocity_change(
     system = np.zeros((n + r, n + r))
     system[:n, :n], system[n:, :n], system[:n, n:] = mass, held, held.T
     right = np.vstack([rows.T, np.zeros((r, 2 * m))])
-    rate_change = np.linalg.lstsq(system, right, rcond=DEPENDENT)[0][:n]
+    rate_change = np.linalg.lstsq(system, right, rcond=USER_DIGITS)[0][:n]
     columns, allowed = np.ascontiguousarray(rate_change.T), DEFAULT_IMPULSES.tolerance
     residual, impulses = _impact_impulses(pushes, columns, velocities, cones, restitution, allowed)
     change: Array = rate_change @ impulses.reshape(2 * m)
@@ -86,8 +87,8 @@ class DiscretisationError:
         self._sizes, self._hit = scales.sizes, 0.0
         # Largest speeds and path lengths of coordinates.
         self._fastest, self._way = np.zeros(n), np.zeros(n)
-        # Velocity errors of forces: now, largest, bound of the unresolved part.
-        self._drift, self._drifted, self._unknown = np.zeros(n), np.zeros(n), np.zeros(n)
+        # Velocity errors of forces: now, largest.
+        self._drift, self._drifted = np.zeros(n), np.zeros(n)
         # Velocity errors of impacts and springs; position errors of ended slips.
         self._velocity, self._phase, self._stopped = np.zeros(n), np.zeros(n), np.zeros(n)
 
@@ -107,10 +108,10 @@ class DiscretisationError:
         self._fastest = np.maximum(self._fastest, np.abs(rates).max(axis=0))
         self._way = self._way + np.abs(np.diff(chunk.states[:, :n], axis=0)).sum(axis=0)
         known = self._slips(now, chunk, start, codes)
-        quadrature = now.source.limits.missed(now.values, start, h, chunk.states)
-        if quadrature is not None:
-            known = known + quadrature[0]
-            self._unknown = self._unknown + quadrature[1].sum(axis=0)
+        mass = now.source.equations(now.values, chunk.states[0], start).mass
+        missed = now.source.limits.missed(mass, now.values, start, h, chunk.states)
+        if missed is not None:
+            known = known + missed
         drift = self._drift + np.cumsum(known, axis=0)
         self._drift, self._drifted = drift[-1], np.maximum(self._drifted, np.abs(drift).max(axis=0))
         struck: Bools = np.any(chunk.struck, axis=1)
@@ -129,7 +130,7 @@ class DiscretisationError:
         fastest = np.maximum(self._fastest, _LITTLE * self._sizes[n:])
         way = np.maximum(self._way, _LITTLE * self._sizes[:n])
         errors = (
-            ((self._drifted + self._unknown) / fastest, _FORCES, 0.5,
+            (self._drifted / fastest, _FORCES, 0.5,
              "the forces: velocity error up to {:.2g} of the largest"),
             (self._velocity / fastest, _IMPACTS, 1.0,
              "contacts that are switched on: impacts are off by up to {:.2g} of the largest "

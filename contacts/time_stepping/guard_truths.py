@@ -5,13 +5,13 @@ true and still is, or at which it is true and not about to become false by itsel
 stays on its boundary for a step, as the slip of a sticking contact does, is zero up to round-off:
 `<=` and `>=` hold, `<` and `>` do not.
 
-Within a step cubics (Hermite) interpolate the margins. In steps with impacts, and where a rate is
-unknown, lines do. A warning names a guard that is true within a step, at neither end.
+Within a step cubics (Hermite) interpolate the margins; lines do where a rate is unknown. In steps
+with impacts, margins are continued from both ends, as the impact may be anywhere. A warning names a
+guard that is true within a step, at neither end.
 
-An impact or transition that reverses a margin at its bound may leave it beyond, by the order of the
-step. The atom is false while the margin rises back. An atom that falls to its bound as an open
-contact touches waits for the impact. An atom that jumps at an impact has the truth value of one end
-of the step or of the other.
+An atom whose margin falls before an impact or transition and rises after it is false in that step,
+and while it rises back, as it is beyond its bound by an error of the step at most. A warning says
+so. An atom that falls to its bound as an open contact touches waits for the impact.
 """
 
 from __future__ import annotations
@@ -39,9 +39,6 @@ AT_END = 1e-6
 # Part of a step by which a margin may reach its bound before a contact touches, and still count as
 # reversed there: lines through gaps and margins find both instants.
 _AT_TOUCH = 0.1
-# Part of the fall in a step by which a margin is beyond its bound at the touch at least, if it is
-# true before: below it is at the bound up to the curvature of the motion.
-_TOUCHED = 0.01
 # Steps that are taken to find forces after an impact: a landing hides them for up to five steps.
 _LANDING = 8
 
@@ -108,8 +105,16 @@ class StepEnd:
 def reversed_warning(name: str, time: float, h: float) -> str:
     """Return the warning of a guard that another event of the same step reverses."""
     return (
-        f"{name} becomes true within the step of {h:g} to t = {time:.6g}, where another event "
-        "reverses it, and does not fire; a shorter step shows if it does before"
+        f"{name} reaches its boundary within the step of {h:g} to t = {time:.6g}, where another "
+        "event reverses it, and does not fire; a shorter step shows if it does before"
+    )
+
+
+def passed_warning(name: str, time: float, h: float) -> str:
+    """Return the warning of a guard that is true within the step from `time` only."""
+    return (
+        f"{name} is true within the step of {h:g} at t = {time:.6g}, at neither end: steps pass "
+        "over it; use a shorter step, or for a single instant one comparison by <= or >="
     )
 
 
@@ -164,7 +169,7 @@ class StepTruths:
         guards: ControlGuards,
         states: Key,
     ) -> None:
-        self._setup, self._regions, self._n = setup, regions, len(mechanics.q)
+        self._setup, self._regions = setup, regions
         # Places of the unknowns of guards among those of steps.
         places = {symbol: i for i, symbol in enumerate(mechanics.solved)}
         self.order = [places[symbol] for symbol in guards.unknowns]
@@ -172,14 +177,13 @@ class StepTruths:
         count = len(guards.watch.margins)
         # Atoms at the end of the last step, and those at zero there and a step before.
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
-        self._start = np.full((1, count), np.nan)
+        self._start, self._rate = np.full((2, 1, count), np.nan)
         self._gaps = np.full(1, np.nan)  # At the last midpoint.
         # Atoms that impacts or transitions have reversed, while they rise.
         self._back = np.zeros((1, count), np.bool_)
-        # In the last steps that do not know forces: atoms on these, other atoms that were true, and
-        # guards that were true but for the first.
-        self._forced, self._known = np.zeros((2, count), np.bool_)
-        self._hidden = np.zeros(len(self._watch.guards), np.bool_)
+        # Steps that do not know forces: their true atoms, unknown atoms, and modes.
+        self._hidden = np.zeros((0, 1), np.int64)
+        self._found = dict[str, str]()  # Guard -> warning at the last instant.
 
     def enter(self, guards: ControlGuards, states: Key) -> None:
         """Continue with the same guards in other states of controllers."""
@@ -194,7 +198,7 @@ class StepTruths:
         self._setup = setup
         at = np.array([time]), state[None], np.full((1, 1 + max(self.order, default=0)), np.nan)
         margins, rates = (self.table(*at, order)[..., 0] for order in (0, 1))
-        self._back = self._back & (margins > self._start - h * rates)
+        self._back = self._back & (margins >= self._start - h * rates)
         self._start = np.where(np.isnan(margins), self._start, margins)
 
     def table(self, times: Array, states: Array, solved: Array, order: int = 0) -> Array:
@@ -219,24 +223,25 @@ class StepTruths:
             np.array([end.time]), end.state[None], solved[None], end.h, self._zero[:1]
         )
         back = ends.true & self._back
-        if end.after_transitions and ends.true.any():
-            back |= ends.true & self._falls(end)
+        early = ends.margins - end.h * ends.rates < -ends.zero
+        if end.after_transitions and end.last is not None and (ends.true | early).any():
+            back |= ends.true & self._before_transitions(end, end.last, ends, early)
         if back.any():
             # With accelerations that have reversed, too.
             rates = self.table(np.array([end.time]), end.state[None], end.solved[None], 1)[..., 0]
-            back &= end.h * rates > ends.zero
+            back &= self._returns(end.h * rates, ends.zero)
         true = ends.true & ~back
-        self._last, self._start, self._zero[1:] = true, ends.margins, ends.near
+        self._last, self._start, self._rate = true, ends.margins, ends.rates
+        self._zero[1:] = ends.near
         self._back = back
         if end.last is not None:
             self._gaps = end.last.gaps[-1]
         unknown = np.isnan(ends.margins)
-        rows = np.vstack([ends.due & ~back, true, true | unknown])
-        due, true_now, possible = self._guards(rows, np.tile(end.codes, (3, 1)))
-        self._hidden |= possible & ~true_now
-        self._forced |= unknown[0]
-        self._known |= true[0] & unknown.any()
-        return due, true_now
+        if unknown.any():
+            rows = np.hstack([true, unknown, end.codes[None]])
+            self._hidden = np.vstack([self._hidden.reshape(-1, rows.shape[1]), rows])
+        due, now = self._guards(np.vstack([ends.due & ~back, true]), np.tile(end.codes, (2, 1)))
+        return due, now
 
     def _read_unknowns(self, end: StepEnd) -> bool:
         """Return whether accelerations or forces may decide a guard at an instant.
@@ -250,22 +255,25 @@ class StepTruths:
         decided = (margins > least) | ((margins < -least) & np.isfinite(rates))
         return not bool(decided.all())
 
-    def _falls(self, end: StepEnd) -> Bools:
+    def _before_transitions(self, end: StepEnd, last: Chunk, ends: _Ends, early: Bools) -> Bools:
         """Return the atoms (1, a) that fell to their bound in the step before transitions.
 
         In a step with an impact these fell before it; atoms that jump at the impact do not fall.
+        Warns of guards that are true if atoms jump within the step, which are true `early` then.
         """
-        last = end.last
-        if last is None:
-            return np.zeros_like(self._back)
-        times, states = end.time - last.h * np.array([1, 0]), last.states[-2:]
-        solved = np.tile(last.solved[-1], (2, 1))
-        (first, now), (fall, rate) = (self.table(times, states, solved, o)[..., 0] for o in (0, 1))
-        if last.struck[-1].any():
-            # The contact may have touched up to half a step before this one.
-            first, rate = first - last.h * fall, fall
-        falls: Bools = (first >= 0.0) & (now < 0.0) & (rate < 0.0)
-        return falls[None]
+        times, solved = end.time - last.h * np.array([1, 0]), np.tile(last.solved[-1], (2, 1))
+        (first, now), (fall, _) = (
+            self.table(times, last.states[-2:], solved, order)[..., 0] for order in (0, 1)
+        )
+        jumps = early & (np.abs(ends.margins - now) > ends.zero)
+        rows, codes = np.vstack([now < 0.0, ends.true, ends.true | jumps]), end.codes[None]
+        was, true, may = self._guards(rows, np.tile(codes, (3, 1)))
+        for i in np.flatnonzero(may & ~true & ~was).tolist():
+            name = self._watch.guards[i].name
+            self._found.setdefault(name, passed_warning(name, float(times[0]), last.h))
+        # A contact may have touched up to half a step before this one.
+        falls: Bools = (first >= last.h * fall * last.struck[-1].any()) & (fall < 0.0)
+        return falls & (ends.margins - first >= 2.0 * last.h * fall)
 
     def true_at(self, time: float, state: Array, solved: Array, h: float, codes: Ints) -> Bools:
         """Return the guards (g,) that are true at an instant of the steps that `take` had last."""
@@ -278,32 +286,32 @@ class StepTruths:
 
         Both fire. The regions have modes `codes` (m + 1, r) at the start and the ends.
         """
-        ends = self._ends(
+        self._at = ends = self._ends(
             chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, self._zero[1:]
         )
-        self._at, self._codes = ends, codes[1:]
-        self._reversed, self._jumped, self._dips = np.zeros((3, *ends.true.shape), np.bool_)
-        # Steps with impacts -> the part of the step at which contacts touch, and the margins then.
-        self._touched = dict[int, tuple[float, Array]]()
-        self._backs = np.zeros_like(self._reversed)
-        waits = self._wait_for_impacts(chunk)
-        if chunk.struck.any():
-            self._classify_at_impacts(chunk, start)
-        self._all = np.vstack([self._last, ends.true & ~waits])
-        hit = np.flatnonzero(self._reversed.any(axis=1)).tolist() if self._touched else []
-        back, done = self._back[0], 0
-        for first in [0, *hit] if back.any() else hit:
-            for k in range(max(first, done), len(ends.true)):
-                back = (back | (self._reversed[k] & ~self._all[k])) & self._all[k + 1]
-                back &= chunk.h * ends.rates[k] > ends.zero[k]
-                done = k + 1
-                if not back.any():
-                    break
-                self._backs[k] = back
-                self._all[k + 1] &= ~back
-        was = self._guards(self._all, codes)
-        due = self._guards(ends.due & self._all[1:], self._codes)
-        return due, was[1:] & ~was[:-1]
+        self._codes, self._waits = codes[1:], self._wait_for_impacts(chunk)
+        self._fall = chunk.h * np.vstack([self._rate, ends.rates])[:-1]
+        true = np.vstack([self._last, ends.true & ~self._waits])
+        struck = np.any(chunk.struck, axis=1, keepdims=True)
+        returns = self._returns(chunk.h * ends.rates, ends.zero)
+        falls = (self._fall < 0.0) & ~true[:-1]
+        # Rates explain no jump of a margin at an impact.
+        falls &= ends.margins - np.vstack([self._start, ends.margins])[:-1] >= 2.0 * self._fall
+        self._reversed = struck & falls & returns
+        # Reversed atoms stay false while their margins are beyond the bound and return.
+        steps = np.arange(1, len(struck) + 1)[:, None]
+        hit = np.vstack([np.where(self._back, 0, -1), np.where(self._reversed, steps, -1)])
+        free = np.vstack([np.full_like(hit[:1], -1), np.where(true[1:] & returns, -1, steps)])
+        self._backs = np.maximum.accumulate(hit)[1:] > np.maximum.accumulate(free)[1:]
+        true[1:] &= ~self._backs
+        self._all = true
+        was = self._guards(true, codes)
+        return self._guards(ends.due & true[1:], self._codes), was[1:] & ~was[:-1]
+
+    def _returns(self, changes: Array, zero: Array) -> Bools:
+        """Return the atoms (m, a) whose margins rise; at a strict bound also those that stay."""
+        returns: Bools = changes > np.where(self._watch.closed, zero, -zero)
+        return returns
 
     def _wait_for_impacts(self, chunk: Chunk) -> Bools:
         """Return the atoms (m, a) that fall to their bound in a step as an open contact touches.
@@ -313,42 +321,14 @@ class StepTruths:
         margins = np.vstack([self._start, self._at.margins])
         falls: Bools = (margins[:-1] >= 0.0) & (margins[1:] < 0.0)
         if falls.any():
-            touch = self._touches(chunk)
+            gaps = np.vstack([np.broadcast_to(self._gaps, chunk.gaps[:1].shape), chunk.gaps])
+            with np.errstate(invalid="ignore", divide="ignore"):
+                touch = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
+                crossed = margins[:-1] / (margins[:-1] - margins[1:])
             touches = (touch > 0.5) & (touch < 1.0) & (chunk.modes == FREE) & ~chunk.struck
             first = np.where(touches, touch, np.inf).min(axis=1, initial=np.inf)[:, None]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                crossed = margins[:-1] / (margins[:-1] - margins[1:])
             falls &= crossed > first - _AT_TOUCH
         return falls
-
-    def _touches(self, chunk: Chunk) -> Array:
-        """Return where gaps (m, r) become zero, in steps from the start of each step."""
-        gaps = np.vstack([np.broadcast_to(self._gaps, chunk.gaps[:1].shape), chunk.gaps])
-        with np.errstate(invalid="ignore", divide="ignore"):
-            touches: Array = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
-        return touches
-
-    def _classify_at_impacts(self, chunk: Chunk, start: float) -> None:
-        """Find the atoms that impacts reverse at or beyond their bounds, and those that jump."""
-        hit = np.flatnonzero(chunk.struck.any(axis=1))
-        sides, h = chunk.states[[hit, hit, hit + 1]], chunk.h
-        delay = np.tile(0.5 * h + chunk.impact_delay[hit], (3, 1))
-        touch = h * self._touches(chunk)[hit]
-        touch = np.where(chunk.struck[hit] & np.isfinite(touch), touch, np.inf).min(axis=1)
-        delay[0] = np.where(np.isfinite(touch), touch, delay[0])
-        sides[:, :, : self._n] = sides[1, :, : self._n]
-        sides[:, :, : self._n] += delay[..., None] * sides[1, :, self._n : 2 * self._n]
-        at = (start + hit * h + delay).ravel(), np.vstack([*sides])
-        solved = np.tile(chunk.solved[hit], (3, 1))
-        (touched, left, right), (_, fall, rise) = (
-            np.split(self.table(*at, solved, order)[..., 0], 3) for order in (0, 1)
-        )
-        reverses = (fall < 0.0) & (rise > 0.0)
-        known = np.isfinite(touch)[:, None]
-        self._dips[hit] = reverses & known & (touched < _TOUCHED * h * fall)
-        self._reversed[hit] = reverses & ~self._dips[hit]
-        self._jumped[hit] = (left < 0.0) != (right < 0.0)
-        self._touched = dict(zip(hit.tolist(), zip(touch / h, touched, strict=True), strict=True))
 
     def undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name.
@@ -375,49 +355,44 @@ class StepTruths:
         Returns guard -> warning that it is true within a step only, until the run is at `end`,
         before steps know its forces, or until an impact reverses it.
         """
-        count, found = len(chunk.codes), dict[str, str]()
+        count = len(chunk.codes)
+        found, self._found = self._found, {}
         if not count:
             return found
-        for k in np.flatnonzero(self._crossed(chunk)).tolist():
-            for i in np.flatnonzero(self._within(chunk, start, k, end)).tolist():
-                name = self._watch.guards[i].name
-                found.setdefault(
-                    name,
-                    f"{name} is true within the step of {chunk.h:g} at t = "
-                    f"{start + k * chunk.h:.6g}, at neither end: steps pass over it; use a "
-                    "shorter step, or for a single instant one comparison by <= or >=",
-                )
-        atoms, codes = self._all[1 : count + 1], self._codes[:count]
-        if self._backs[:count].any():
-            back = self._guards(atoms | self._backs[:count], codes) & ~self._guards(atoms, codes)
-            for k, i in np.argwhere(back).tolist():
-                name, time = self._watch.guards[i].name, start + (k + 1) * chunk.h
-                found.setdefault(name, reversed_warning(name, time, chunk.h))
-        unknown = np.isnan(self._at.margins[:count])
-        if unknown.any() or self._hidden.any():
-            true = self._guards(atoms, codes)
-            possible = self._guards(atoms | unknown, codes) & ~true
-            for k in range(count):
-                if unknown[k].any():
-                    self._hidden |= possible[k]
-                    self._forced |= unknown[k]
-                    self._known |= atoms[k]
-                else:
-                    # Assume the present forces for the steps with unknown forces.
-                    rows = np.where(self._forced, atoms[k : k + 1], self._known)
-                    [was] = self._guards(rows, codes[k : k + 1])
-                    for i in np.flatnonzero(self._hidden & was & ~true[k]).tolist():
-                        name = self._watch.guards[i].name
-                        found.setdefault(
-                            name,
-                            f"{name} is true before t = {start + (k + 1) * chunk.h:.6g}, in steps "
-                            f"of {chunk.h:g} that do not know its forces; use a shorter step",
-                        )
-                    self._hidden[:] = self._forced[:] = self._known[:] = False
+        found |= self._within(chunk, start, end)
+        atoms, unknown = self._all[1 : count + 1], np.isnan(self._at.margins[:count])
+        if unknown.any() or len(self._hidden):
+            found = self._before_forces(chunk, start, atoms, unknown) | found
         self._zero = np.vstack([self._zero[1:], self._at.near[:count]])[-2:]
         self._last, self._start = atoms[-1:], self._at.margins[count - 1 : count]
-        self._back, self._gaps = self._backs[count - 1 : count], chunk.gaps[-1]
+        self._rate, self._back = self._at.rates[count - 1 : count], self._backs[count - 1 : count]
+        self._gaps = chunk.gaps[-1]
         return found
+
+    def _before_forces(
+        self, chunk: Chunk, start: float, atoms: Bools, unknown: Bools
+    ) -> dict[str, str]:
+        """Return guard -> warning that it is true before steps know its forces.
+
+        The forces of the first step that knows them stand for those before.
+        """
+        early, count = len(self._hidden), len(atoms)
+        rows = np.hstack([atoms, unknown, self._codes[:count]])
+        rows = np.vstack([self._hidden.reshape(-1, rows.shape[1]), rows])
+        atoms, unknown, codes = np.split(rows, [atoms.shape[1], 2 * atoms.shape[1]], axis=1)
+        atoms, unknown = atoms.astype(np.bool_), unknown.astype(np.bool_)
+        places = np.where(unknown.any(axis=1), len(rows), np.arange(len(rows)))
+        known = np.minimum.accumulate(places[::-1])[::-1]
+        self._hidden = np.unique(rows[known == len(rows)], axis=0)
+        now = np.minimum(known, len(rows) - 1)
+        true = self._guards(atoms, codes)
+        was = self._guards(np.where(unknown, atoms[now], atoms), codes) & ~true & ~true[now]
+        return {
+            self._watch.guards[i].name: f"{self._watch.guards[i].name} is true before t = "
+            f"{start + (now[k] - early + 1) * chunk.h:.6g}, in steps of {chunk.h:g} that do not "
+            "know its forces; use a shorter step"
+            for k, i in np.argwhere(was & (known < len(rows))[:, None])[::-1].tolist()
+        }
 
     def _ends(self, times: Array, states: Array, solved: Array, h: float, zero: Bools) -> _Ends:
         """Return the atoms at the ends of steps; `zero` (1, a) were at zero a step before."""
@@ -443,53 +418,50 @@ class StepTruths:
         """Return the guards (m, g) that are true, from their atoms (m, a) and modes (m, r)."""
         return self._watch.truths(atoms, self.active(codes))
 
-    def _crossed(self, chunk: Chunk) -> Bools:
-        """Return the steps (m,) in which atoms cross zero in turn, or one there and back."""
-        count, ends = len(chunk.codes), self._at
-        first = np.vstack([self._start, ends.margins])[:count]
-        last, change = ends.margins[:count], chunk.h * ends.rates[:count]
-        before, after = self._all[:count], self._all[1 : count + 1]
-        crossed = (before != after) & ~self._reversed[:count]
-        # The parabola last - change s + bend s^2, s back from the end.
-        bend = first - last + change
-        with np.errstate(divide="ignore", invalid="ignore"):
-            deep = last - 0.25 * change**2 / bend < -ends.zero[:count]
-        dips = deep & (change > 0.0) & (change < 2.0 * bend)
-        dips &= ~(before | after | self._reversed[:count])
-        if self._touched:
-            dips |= self._dips[:count] & ~(before | after)
-        return (crossed.sum(axis=1) > 1) | dips.any(axis=1)
+    def _within(self, chunk: Chunk, start: float, end: float) -> dict[str, str]:
+        """Return guard -> warning that it is true within a step, at neither end.
 
-    def _within(self, chunk: Chunk, start: float, k: int, end: float) -> Bools:
-        """Return the guards (g,) that are true within a step, at neither end."""
-        h, states, solved = chunk.h, chunk.states[k : k + 2], np.tile(chunk.solved[k], (2, 1))
-        times = start + chunk.h * np.array([k, k + 1.0])
-        (a, b), (c, d) = (self.table(times, states, solved, o)[..., 0] for o in (0, 1))
-        straight = np.isnan(c + d) | chunk.struck[k].any()
-        c, d = (np.where(straight, b - a, h * rate) for rate in (c, d))
+        Cubics interpolate the margins; lines do where a rate is unknown. In steps with impacts,
+        which may be anywhere in the step, margins are continued from both ends.
+        """
+        h, count, found = chunk.h, len(chunk.codes), dict[str, str]()
+        b, d = self._at.margins[:count], h * self._at.rates[:count]
+        a, c, zero = np.vstack([self._start, b])[:-1], self._fall[:count], self._at.zero[:count]
+        first, last, codes = self._all[:count], self._all[1 : count + 1], self._codes[:count]
+        known = ~np.vstack([self._back, self._backs])[:count]  # Not beyond a bound by an error.
+        before, after = (a + c < -zero) & known, (b - d < -zero) & known & ~self._at.near[:count]
+        sides = np.array([first | before, last | after])
+        ends = self._guards(first, codes) | self._guards(last, codes)
+        may = self._guards(sides.any(axis=0) | first | last, codes) & ~ends
+        for k in np.flatnonzero(may.any(axis=1)).tolist():
+            rows = sides[:, k]
+            if not chunk.struck[k].any():
+                lines = np.where(np.isnan(c[k] + d[k]), b[k] - a[k], np.stack([c[k], d[k]]))
+                rows = self._inside(np.array([a[k], b[k], *lines]), k, (end - start) / h - k)
+            kinds = np.vstack([rows, rows & ~self._reversed[k]])
+            true = self._guards(kinds, np.tile(codes[k], (len(kinds), 1)))
+            for i in np.flatnonzero(true.any(axis=0) & ~ends[k]).tolist():
+                name, time = self._watch.guards[i].name, start + k * h
+                passes = passed_warning(name, time, h), reversed_warning(name, time + h, h)
+                found.setdefault(name, passes[not true[len(rows) :, i].any()])
+        return found
+
+    def _inside(self, ends: Array, k: int, until: float) -> Bools:
+        """Return the atoms (m, a) at and between the crossings in a step, until a part of it.
+
+        `ends` (4, a): margins at the start and end, changes in a step by the rates there.
+        """
+        a, b, c, d = ends
         cubics = np.array([2.0 * (a - b) + c + d, 3.0 * (b - a) - 2.0 * c - d, c, a])
         roots = [np.roots(cubic) for cubic in cubics.T if np.isfinite(cubic).all()]
-        # A margin that dips falls until the contacts touch, and rises then.
-        touch, least = self._touched.get(k, (1.0, b))
-        touch = min(max(touch, AT_END), 1.0 - AT_END)
-        dips = np.flatnonzero(self._dips[k] & (a >= 0.0) & (b >= 0.0))
-        roots.append(touch * a[dips] / (a - least)[dips])
-        roots.append(1.0 - (1.0 - touch) * b[dips] / (b - least)[dips])
         real = np.array([x.real for x in chain(*roots) if x.imag == 0.0])
         crossings = real[(real > AT_END) & (real < 1.0 - AT_END)]
         shares = np.sort(np.append(crossings, [0.0, 1.0]))
         shares = np.hstack([crossings, 1.0, 0.5 * (shares[:-1] + shares[1:])])
-        shares = shares[times[0] + shares * h <= end + AT_END * h]
+        shares = shares[shares <= until + AT_END]
         at = np.array([np.polyval(cubics, share) for share in shares]).reshape(-1, len(a))
-        for i in dips.tolist():
-            at[:, i] = np.interp(shares, [0.0, touch, 1.0], [a[i], least[i], b[i]])
-        first, last = self._all[k : k + 2]
         # Atoms that cross zero at the same instant may hold there alone.
+        first, last = self._all[k : k + 2]
         on_zero = np.where(first != last, self._watch.closed, last)
-        inside = np.where(np.abs(at) <= self._at.zero[k], on_zero, at < 0.0)
-        inside = np.where(self._reversed[k], first & last, inside)
-        # The impact may be anywhere in the step.
-        parts = (np.where(self._jumped[k], side, inside) for side in (first, last))
-        rows = np.vstack([first, last, *parts])
-        true = self._guards(rows, np.tile(self._codes[k], (len(rows), 1)))
-        return true[2:].any(axis=0) & ~true[0] & ~true[1]
+        inside: Bools = np.where(np.abs(at) <= self._at.zero[k], on_zero, at < 0.0)
+        return inside & ~self._waits[k] & ~self._backs[k]

@@ -25,7 +25,7 @@ TERMS = 3
 """Terms of the polynomial of a step."""
 
 
-def smooth(left: Array, right: Array, h: Array, n: int) -> Array:
+def smooth(left: Array, right: Array, h: float, n: int) -> Array:
     """Return the coefficients (k, w, TERMS) of steps without impacts."""
     coefficients = np.zeros((*left.shape, TERMS))
     coefficients[:, :, 0] = left
@@ -66,9 +66,9 @@ def struck(
 
 
 def step_polynomials(
-    states: Array, acceleration: Array, h: Array, delay: Array, hit: Bools, n: int
+    states: Array, acceleration: Array, h: float, delay: Array, hit: Bools, n: int
 ) -> Array:
-    """Return the coefficients (p, w, TERMS) of steps of sizes `h` (k, 1) between states (k + 1, w).
+    """Return the coefficients (p, w, TERMS) of steps of size `h` between states (k + 1, w).
 
     One polynomial per step, two per step `hit` (k,), whose impact is `delay` (k,) after its middle;
     acceleration, `n`: see `struck`.
@@ -76,9 +76,9 @@ def step_polynomials(
     left, right = states[:-1], states[1:]
     if not hit.any():
         return smooth(left, right, h, n)
-    before = 0.5 * h[hit] + delay[hit, None]
-    parts = struck(left[hit], right[hit], acceleration[hit], (before, h[hit] - before), n)
-    pieces = np.concatenate([smooth(left[~hit], right[~hit], h[~hit], n), *parts])
+    before = 0.5 * h + delay[hit, None]
+    parts = struck(left[hit], right[hit], acceleration[hit], (before, h - before), n)
+    pieces = np.concatenate([smooth(left[~hit], right[~hit], h, n), *parts])
     # Gathering rows is ten times as fast as scattering them.
     at = _places(hit)[:-1]
     return pieces[np.argsort(np.concatenate([at[~hit], at[hit], at[hit] + 1]))]
@@ -112,11 +112,10 @@ def _compact(rows: Numbers) -> Numbers:
 
 
 class Steps(NamedTuple):
-    """Consecutive steps; each is one piece of an arc, one with impacts two."""
+    """Consecutive steps of one size; each is one piece of an arc, one with impacts two."""
 
     begin: Clock
-    # Step sizes, and number of consecutive steps of each.
-    spans: tuple[tuple[float, int], ...]
+    h: float
     coordinates: int
     states: Array  # shape (k + 1, w)
     solved: Array  # (k, u): unknowns.
@@ -134,27 +133,17 @@ class Steps(NamedTuple):
     def of(cls, chunk: Chunk, hit: Bools, coordinates: int, begin: Clock) -> Steps:
         """Return the steps of a chunk."""
         return cls(
-            begin, ((chunk.h, len(hit)),), coordinates, _compact(chunk.states),
-            _compact(chunk.solved), _compact(chunk.impulses), _compact(chunk.joint_impulses),
-            _compact(chunk.struck), hit, _compact(chunk.impact_delay), _places(hit),
+            begin, chunk.h, coordinates, _compact(chunk.states), _compact(chunk.solved),
+            _compact(chunk.impulses), _compact(chunk.joint_impulses), _compact(chunk.struck), hit,
+            _compact(chunk.impact_delay), _places(hit),
         )  # fmt: skip
 
-    @classmethod
-    def joined(cls, parts: Sequence[Steps]) -> Steps:
-        """Concatenate consecutive steps, without impulses."""
-        hit = np.concatenate([part.hit for part in parts])
-        return cls(
-            parts[0].begin,
-            tuple([span for part in parts for span in part.spans]),
-            parts[0].coordinates,
-            np.concatenate([*(part.states[:-1] for part in parts), parts[-1].states[-1:]]),
-            np.concatenate([part.solved for part in parts]),
-            parts[0].impulses[:0].copy(),
-            parts[0].joint_impulses[:0].copy(),
-            parts[0].struck[:0].copy(),
-            hit,
-            np.concatenate([part.impact_delay for part in parts]),
-            _places(hit),
+    def without_impulses(self) -> Steps:
+        """Drop impulses and struck regions."""
+        return self._replace(
+            impulses=self.impulses[:0].copy(),
+            joint_impulses=self.joint_impulses[:0].copy(),
+            struck=self.struck[:0].copy(),
         )
 
     @property
@@ -177,23 +166,15 @@ class Steps(NamedTuple):
         return self._replace(halves=halves)
 
     def at(self, step: int, half: int) -> Clock:
-        """Return when a step, or its second part, begins; all steps have one size."""
-        ((h, _),) = self.spans
-        delay = 0.5 * h + float(self.impact_delay[step]) if half else 0.0
-        return self.begin.later(h * step + delay).short
+        """Return when a step, or its second part, begins."""
+        delay = 0.5 * self.h + float(self.impact_delay[step]) if half else 0.0
+        return self.begin.later(self.h * step + delay).short
 
     @property
-    def lengths(self) -> Array:
-        """Lengths (k,) of the steps."""
-        return np.repeat([h for h, _ in self.spans], [count for _, count in self.spans])
-
-    def ends(self, h: Array) -> Array:
-        """Return the ends of pieces, after `begin`, of steps of sizes `h` (k,)."""
-        times = [np.zeros(1)]
-        for length, count in self.spans:
-            times.append(times[-1][-1] + length * np.arange(1, count + 1))
-        steps = np.concatenate(times)
-        middles = steps[:-1] + (0.5 * h + self.impact_delay)
+    def ends(self) -> Array:
+        """The ends of pieces, after `begin`."""
+        steps = self.h * np.arange(len(self.hit) + 1.0)
+        middles = steps[:-1] + (0.5 * self.h + self.impact_delay)
         return np.insert(steps, np.flatnonzero(self.hit) + 1, middles[self.hit])
 
 
@@ -237,10 +218,10 @@ class _Polynomials:
     """Coefficients, ends and unknowns of all pieces of some steps."""
 
     def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array] | None) -> None:
-        n, hit, h = steps.coordinates, np.asarray(steps.hit), steps.lengths
+        n, hit = steps.coordinates, np.asarray(steps.hit)
         delay, halves = np.asarray(steps.impact_delay), steps.halves
-        self.terms = step_polynomials(steps.states, steps.solved[:, :n], h[:, None], delay, hit, n)
-        self.ends = steps.ends(h)
+        self.terms = step_polynomials(steps.states, steps.solved[:, :n], steps.h, delay, hit, n)
+        self.ends = steps.ends
         self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
         self.steps, self._energy = steps, energy
 

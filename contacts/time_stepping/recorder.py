@@ -354,34 +354,23 @@ class Recorder:
         return self.again if struck and is_lasting else cause
 
 
-# Bytes of a block, which is one arc of several times that size.
-_BLOCK = 2**22
-
-
 class PoseRecorder:
-    """Collects steps in blocks; each is an arc."""
+    """Collects chunks of steps; each is an arc."""
 
     def __init__(self, coordinates: int) -> None:
         self._coordinates = coordinates
         self._blocks = Blocks[Steps]()
-        # Number of jumps before each block, and controller states.
+        # Number of jumps before each chunk, and controller states.
         self._shown: list[tuple[int, Key]] = []
-        self._open: list[Steps] = []
-        self._size = 0
 
     def add(self, chunk: Chunk, start: Clock, j: int, key: Key) -> None:
         """Append steps from `start` on, after `j` jumps, in these controller states."""
-        if self._open and (self._shown[-1] != (j, key) or self._size > _BLOCK):
-            self._seal()
-        if not self._open:
-            self._shown.append((j, key))
-        hit = np.any(chunk.struck, axis=1)
-        self._open.append(Steps.of(chunk, hit, self._coordinates, start))
-        self._size += chunk.states.nbytes + chunk.solved.nbytes
+        self._shown.append((j, key))
+        steps = Steps.of(chunk, np.any(chunk.struck, axis=1), self._coordinates, start)
+        self._blocks.add(steps.without_impulses())
 
     def arcs(self, end: float) -> LazySequence[Arc]:
         """Return the arcs of a run that ended at `end`."""
-        self._seal()
         blocks, shown, maker = self._blocks, self._shown, ArcMaker()
 
         def arc(place: int) -> Arc:
@@ -395,9 +384,3 @@ class PoseRecorder:
             return cut(whole, max(step, 0), last)
 
         return LazySequence(arc, lambda: len(blocks), cached=False)
-
-    def _seal(self) -> None:
-        """Move the open steps to a block."""
-        if self._open:
-            self._blocks.add(Steps.joined(self._open))
-            self._open, self._size = [], 0

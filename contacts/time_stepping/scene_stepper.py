@@ -424,13 +424,13 @@ class SteppedScene(SteppedSystem):
         """Return the oscillations of springs; raise `StepTooLarge` if they are unstable."""
         source, state = self._source, chunk.states[0]
         n = source.size
-        _, rows, joints = source.equations(self._values, state, start)
+        mass, rows, joints = source.equations(self._values, state, start)
         codes = self._step_state.codes
         closed = (codes != FREE) & (codes != OFF_CODE)
         held = np.concatenate(
             [rows[closed, :n], rows[np.isin(codes, (PIN, LOCKED)), n : 2 * n], joints[:, :n]]
         )
-        swings = source.limits.swings(self._values, state, start, held)
+        swings = source.limits.swings(mass, self._values, state, start, held)
         swing = 0.0 if swings is None else float(swings.speeds.max())
         check_swing(swing, chunk.h)
         self._swing, self._length = max(self._swing, swing), max(self._length, chunk.h)

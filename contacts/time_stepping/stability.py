@@ -15,16 +15,13 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
+from contacts.solvers.dependence import null_space
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.margin_derivatives import derivative
 from statechart.errors import StepTooLarge
 from statechart.formulas.tape import Tape
-from statechart.kernels.boxes import Steps, bind_tape, bound_third_derivatives
-from statechart.kernels.intervals import INF
-from statechart.kernels.jit import kernel
-from statechart.kernels.polynomials import local_time
-from statechart.kernels.resolution import bound_box, evaluate_at_places, jet_registers
-from statechart.kernels.tapes import TapeCode
+from statechart.kernels.boxes import Steps
+from statechart.kernels.quadrature import integrate_outputs
 
 UNSTABLE = 4.0
 """Limit of ``h^2 k + 2 h d`` for forces evaluated at mid-step, at the velocities before it, with
@@ -33,8 +30,6 @@ stiffness k and damping d per mass."""
 _COARSE = 0.5
 # Recommended radians, or relative velocity change, per step.
 _FINE = 0.1
-# Relative tolerance of equal directions.
-DEPENDENT = 1e-9
 CHANGE = 1e-6
 """Step of the finite differences of forces, relative to the size of a body."""
 # Regularisation of the Gram matrix of held directions, which may be redundant.
@@ -43,12 +38,6 @@ _DEPENDENT_SQUARES = 1e-12
 _ITERATIONS = 60
 # Batch size of formula evaluation.
 _AT_ONCE = 64
-
-# Three points: exact for degree five; error 0.002 over a turn of four radians.
-_PLACES = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
-_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
-# Limits of bisection: pieces per step, and width relative to the step.
-_MAX_INTERVALS, _NARROW = 128, 2.0**-20
 
 
 def instability_error(motion: str, radians: float, h: float, finest: float) -> StepTooLarge:
@@ -82,67 +71,13 @@ class Swings(NamedTuple):
         return errors
 
 
-@kernel
-def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
-    """Integrate each output (n_out,) over each step, minus its midpoint value.
-
-    Gauss-Legendre quadrature in each piece in which the force is resolved (see
-    `statechart.kernels.resolution`); unresolved pieces count with their range. Returns two arrays
-    (m, n_out): the error, and a bound of its unresolved part.
-    """
-    outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
-    count = outputs.shape[0]
-    step_tape, regs = bind_tape(tape, steps, len(_PLACES))
-    jets, bounds = jet_registers(step_tape, regs), np.zeros(coeffs.shape[1])
-    known = np.zeros((coeffs.shape[0], count))
-    unknown = np.zeros((coeffs.shape[0], count))
-    middle, mean = np.empty(count), np.empty(count)
-    lefts, rights = np.empty(64), np.empty(64)
-    for step in range(coeffs.shape[0]):
-        bound_third_derivatives(coeffs, step, reads, bounds)
-        h = local_time(times, step, 1.0) - local_time(times, step, 0.0)
-        evaluate_at_places(step_tape, step, 0.0, 1.0, _PLACES, regs)
-        for i in range(count):
-            middle[i] = regs[outputs[i], 1]
-        top, pieces = 1, 0
-        lefts[0], rights[0] = 0.0, 1.0
-        while top > 0:
-            top -= 1
-            pieces += 1
-            a, b = lefts[top], rights[top]
-            bound_box(step_tape, step, bounds, a, b, jets)
-            resolved = True
-            for i in range(count):
-                resolved = resolved and jets[outputs[i], 2] == 0.0
-            if not resolved and pieces < _MAX_INTERVALS and b - a > _NARROW:
-                m = 0.5 * (a + b)
-                lefts[top], rights[top] = m, b
-                lefts[top + 1], rights[top + 1] = a, m
-                top += 2
-                continue
-            evaluate_at_places(step_tape, step, a, b, _PLACES, regs)
-            for i in range(count):
-                mean[i] = 0.0
-                for j in range(len(_PLACES)):
-                    mean[i] += _WEIGHTS[j] * regs[outputs[i], j]
-                if abs(mean[i] - middle[i]) < INF:
-                    known[step, i] += h * (b - a) * (mean[i] - middle[i])
-                if jets[outputs[i], 2] < INF:
-                    unknown[step, i] += h * (b - a) * jets[outputs[i], 2]
-    return known, unknown
-
-
 class StepLimits:
     """Stability and force quadrature of the steps of a scene."""
 
     def __init__(self, mechanics: Mechanics, forces: Sequence[sp.Expr]) -> None:
-        self._size = len(mechanics.q)
         stiffness = [-derivative(force, place) for force in forces for place in mechanics.q]
-        mass = mechanics.dense(mechanics.mass_matrix)
-        self._stiffness = (
-            mechanics.tape([*mass, *stiffness]) if any(entry != 0 for entry in stiffness) else None
-        )
-        self._mass = mechanics.tape(mass)
+        springs = any(entry != 0 for entry in stiffness)
+        self._stiffness = mechanics.tape(stiffness) if springs else None
         changing = {
             *mechanics.q,
             *mechanics.v,
@@ -152,19 +87,16 @@ class StepLimits:
         varies = any(force.free_symbols & changing for force in forces)
         self._forces = mechanics.tape(forces) if varies else None
 
-    def swings(self, values: Array, state: Array, time: float, held: Array) -> Swings | None:
+    def swings(
+        self, mass: Array, values: Array, state: Array, time: float, held: Array
+    ) -> Swings | None:
         """Return the oscillations of springs orthogonal to the rows `held`; None without any."""
         if self._stiffness is None:
             return None
-        n = self._size
-        mass, stiff = self._stiffness.values(state, values, time).reshape(2, n, n)
+        stiff = self._stiffness.values(state, values, time).reshape(mass.shape)
         if not (np.isfinite(mass).all() and np.isfinite(stiff).all()):
             return None
-        free = np.eye(n)
-        if len(held):
-            _, sizes, rows = np.linalg.svd(held)
-            rank = int((sizes > DEPENDENT * sizes[0]).sum()) if sizes[0] > 0.0 else 0
-            free = rows[rank:].T
+        free = null_space(held)
         if free.shape[1] == 0:
             return None
         squares, shapes = np.linalg.eig(
@@ -180,30 +112,22 @@ class StepLimits:
         )
 
     def missed(
-        self, values: Array, start: float, h: float, states: Array
-    ) -> tuple[Array, Array] | None:
-        """Return the velocities by the force quadrature error of each step.
-
-        Returns
-        -------
-        known, unknown : (k, n) array
-            The unknown is a bound of the remainder; None if forces are constant.
-        """
-        tape, n, count = self._forces, self._size, len(states) - 1
-        if tape is None or not count:
+        self, mass: Array, values: Array, start: float, h: float, states: Array
+    ) -> Array | None:
+        """Return the velocities (k, n) by the force quadrature error of steps; None without any."""
+        tape, n, count = self._forces, len(mass), len(states) - 1
+        if tape is None or not np.isfinite(mass).all():
             return None
         lines = np.stack([states[:-1], np.diff(states, axis=0)], -1)
         rates = slice(n, 2 * n)
         lines[:, rates, 0], lines[:, rates, 1] = 0.5 * (states[:-1, rates] + states[1:, rates]), 0.0
-        known, unknown = force_quadrature_error(
-            tape.parts, Steps(h * np.arange(count + 1.0), lines, values, start)
-        )
-        mass = self._mass.values(states[0], values, start).reshape(n, n)
-        if not np.isfinite(mass).all():
-            return None
+        steps = Steps(h * np.arange(count + 1.0), lines, values, start)
+        sums, _ = integrate_outputs(tape.parts, steps, 0.0, h * count)
+        middles = start + h * (np.arange(count) + 0.5)
+        errors = sums - h * tape.table(lines @ (1.0, 0.5), values, middles)
         # A coordinate without inertia has no independent velocity.
         inverse = np.linalg.pinv(mass, hermitian=True)
-        return known @ inverse, unknown @ np.abs(inverse)
+        return np.where(np.isfinite(errors), errors, 0.0) @ inverse
 
 
 def check_swing(swing: float, h: float) -> None:

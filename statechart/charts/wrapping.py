@@ -18,7 +18,7 @@ from pydantic import BaseModel
 from statechart.charts.transitions import Transition
 from statechart.documents.declaration import Declaration
 from statechart.documents.documented import leaves
-from statechart.documents.fields import TIME, value_of
+from statechart.documents.fields import TIME, replace_fields, value_of
 from statechart.errors import DeclarationProblem, FormulaError, Loc
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import Comparison, parse_relation
@@ -91,7 +91,7 @@ def count_periods(document: Document) -> tuple[Document, Mapping[str, Count]]:
         if isinstance(value, BaseModel):
             own = {field: getattr(value, field) for field in type(value).model_fields}
             new = {f: to for f, part in own.items() if (to := rewritten(part)) is not part}
-            return value.model_copy(update=new) if new else value
+            return replace_fields(value, **new) if new else value
         if isinstance(value, Mapping):
             to = {key: rewritten(part) for key, part in value.items()}
             return value if all(to[key] is value[key] for key in to) else to

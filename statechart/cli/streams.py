@@ -27,10 +27,18 @@ def take_streams() -> None:
 
 
 def be_quiet() -> None:
-    """Keep warnings and logs of libraries off stderr: the report has the relevant warnings."""
+    """Keep warnings, logs and interrupted callbacks off stderr: reports have what matters."""
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
+    report = sys.unraisablehook
+
+    def report_others(unraisable: sys.UnraisableHookArgs) -> None:
+        # A signal in a callback of the interpreter raises nothing; it is counted all the same.
+        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+            report(unraisable)
+
+    sys.unraisablehook = report_others
 
 
 class _Stream(io.TextIOBase):

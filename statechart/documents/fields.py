@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
@@ -159,6 +159,9 @@ Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 """A finite number, not text."""
 
 
+AnyPart = TypeVar("AnyPart", bound=BaseModel)
+
+
 class Part(BaseModel, metaclass=Documented):
     """Base of every model of a document: immutable, unknown keys refused."""
 
@@ -177,6 +180,22 @@ class Part(BaseModel, metaclass=Documented):
                 "with_(...) for its parameters",
             )
         super().__setattr__(name, value)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return the part with other values of fields, validated like a new one."""
+        if update is None:
+            return super().model_copy(deep=deep)
+        fields = {name: getattr(self, name) for name in self.model_fields_set}
+        return type(self)(**{**fields, **update})
+
+
+def replace_fields(part: AnyPart, **fields: Any) -> AnyPart:
+    """Return a part with other values of fields, without validation: for parts of no document."""
+    own = {name: getattr(part, name) for name in type(part).model_fields}
+    made = part.model_construct({*part.model_fields_set, *fields}, **{**own, **fields})
+    for name in type(part).__private_attributes__:
+        setattr(made, name, getattr(part, name))
+    return made
 
 
 def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:

@@ -314,7 +314,7 @@ def check_arguments(function: Callable[P, R]) -> Callable[P, R]:
             if packed:
                 signature.bind(*args, **kwargs)
             return function(*args, **kwargs)
-        except TypeError:
+        except (TypeError, ValueError):
             wrong = _wrong_call(signature, args, kwargs)
             if not wrong:
                 raise

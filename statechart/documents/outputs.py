@@ -127,7 +127,8 @@ class Value(Part):
     @field_validator("at", mode="before")
     @classmethod
     def _no_time(cls, at: Any) -> Any:
-        if isinstance(at, int | float) and not isinstance(at, bool) and math.isfinite(at):
+        number = isinstance(at, int | float) and not isinstance(at, bool)
+        if number and abs(at) < math.inf:  # math.isfinite fails for integers beyond floats
             raise DeclarationProblem(
                 f"a moment is start, end or an event, not {at}",
                 advice=f"in a region write {{name: tick, from: STATE, after: {at}}}, "

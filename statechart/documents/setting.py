@@ -29,6 +29,17 @@ LONG_DOUBLE = "long double"
 """Method of the engine taylor in extended precision."""
 
 
+def is_real(value: object) -> bool:
+    """Return whether a value is a real number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
+
+
 class Record(Enum):
     """Recording of a run between its start and its end.
 
@@ -110,7 +121,7 @@ class Setting:
         """
         for what in _BOUNDS:
             value = getattr(self, what)
-            if value is not None and not isinstance(value, Real):
+            if value is not None and not is_real(value):
                 raise DeclarationProblem(f"{what} must be a number, not {value!r}", loc=(what,))
         engine = self.engine or "auto"
         self._check_engine(engine)

@@ -362,7 +362,7 @@ def _split(atom: Atom) -> Any:
         return Atom(expression.xreplace(uncut), strict)
     corners = expression.atoms(sympy.Max, sympy.Min, sympy.Abs)
     corners = {corner for corner in corners if corner.free_symbols}
-    bare = _without_root(atom) or _at_zero(atom)
+    bare = _without_root(atom) or _without_sign(atom)
     if bare is not None or not corners:
         return bare or atom
     # The outermost first.
@@ -424,21 +424,21 @@ def _without_root(atom: Atom) -> Any:
     return None
 
 
-def _at_zero(atom: Atom) -> Any:
-    """Return ``sign(u) <= 0`` as ``u <= 0``, and ``u**2 <= 0`` as ``u <= 0 <= u``; else None.
+def _without_sign(atom: Atom) -> Any:
+    """Return ``sign(u) <= 0`` as ``u <= 0``, ``sign(u)**2 <= 0`` as ``u <= 0 <= u``, else None.
 
-    A sum of terms that are never negative is at most 0 where all of them are.
+    A sum of such squares is at most 0 where all of them are.
     """
     import sympy
 
     terms = sympy.Add.make_args(atom.expression)
     if len(terms) > 1:
-        together = not atom.strict and all(term.is_nonnegative for term in terms)
-        return And(tuple(Atom(term, False) for term in terms)) if together else None
+        signs = all(term.has(sympy.sign) and term.is_nonnegative for term in terms)
+        return And(tuple(Atom(term, atom.strict) for term in terms)) if signs else None
     factor, power = atom.expression.as_coeff_Mul()
     base, exponent = power.as_base_exp()
     if isinstance(power, sympy.sign):
         return Atom(factor * power.args[0], atom.strict)
-    if factor.is_positive and exponent.is_positive and exponent.is_even:
+    if isinstance(base, sympy.sign) and factor.is_positive and exponent.is_even:
         return And((Atom(base, atom.strict), Atom(-base, atom.strict)))
     return None

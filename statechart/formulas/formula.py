@@ -206,7 +206,8 @@ def _number_text(value: int | float) -> str:
     try:
         as_float = float(value)
     except OverflowError:
-        Source("integer").fail("the number is too large for a float")
+        digits = math.floor(math.log10(abs(value)))
+        Source(f"1e{digits}").fail("the number is too large for a float")
     if math.isnan(as_float):
         Source("nan").fail("a finite number or inf was expected")
     return str(value) if isinstance(value, int) else repr(as_float)

@@ -51,17 +51,17 @@ def _is_unresolved(
 def integrate_outputs(
     tape: TapeCode, steps: Steps, t_from: float, t_to: float
 ) -> tuple[Array, Array]:
-    """Return the integral of every output over local time [t_from, t_to], and the ends of pieces.
+    """Return the integrals (k, n_out) of each step within [t_from, t_to], and the ends of pieces.
 
-    Steps are halved until all outputs are resolved in each piece, kinks down to round-off; each
-    piece has 16 Gauss nodes.
+    Times are local. Steps are halved until all outputs are resolved in each piece, kinks down to
+    round-off; each piece has 16 Gauss nodes.
     """
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     count = _NODES.shape[0]
     step_tape, regs = bind_tape(tape, steps, count)
     jets, bounds = jet_registers(step_tape, regs), np.zeros(coeffs.shape[1])
-    sums = np.zeros((4, outputs.shape[0]))
-    result, largest, rough, noise = sums[0], sums[1], sums[2], sums[3]
+    result, sizes = np.zeros((coeffs.shape[0], outputs.shape[0])), np.zeros((3, outputs.shape[0]))
+    largest, rough, noise = sizes[0], sizes[1], sizes[2]
     undefined = np.empty(outputs.shape[0], np.bool_)
     lefts, rights = np.empty(64), np.empty(64)
     ends, pieces = np.empty(2 * coeffs.shape[0] + 1), 0
@@ -119,7 +119,7 @@ def integrate_outputs(
                 total = 0.0
                 for j in range(count):
                     total += _WEIGHTS[j] * regs[outputs[i], j]
-                result[i] += total * (b - a) * span
+                result[step, i] += total * (b - a) * span
             if pieces == ends.shape[0]:
                 longer = np.empty(2 * pieces)
                 copy_numbers(ends, longer)

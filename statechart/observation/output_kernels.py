@@ -162,8 +162,11 @@ def _include_arcs(
         if tape[5] > 0:
             steps = Steps(times, terms, parameters, block.starts[arc, 0])
             sums, _ = integrate_outputs(_program(tapes, tape), steps, 0.0, times[-1])
-            for i in range(sums.shape[0]):
-                values.integrals[row, tapes.columns[kind, i]] += sums[i]
+            for i in range(sums.shape[1]):
+                total = 0.0
+                for step in range(sums.shape[0]):
+                    total += sums[step, i]
+                values.integrals[row, tapes.columns[kind, i]] += total
         for formula in range(tapes.extremes.shape[0]):
             tape = tapes.extremes[formula, kind]
             if tape[5] > 0:

@@ -6,7 +6,6 @@ import math
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from numbers import Real
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -16,7 +15,7 @@ from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.hints import check_arguments, unknown_parameter
-from statechart.documents.setting import Record, Setting, SettingWords
+from statechart.documents.setting import Record, Setting, SettingWords, is_real
 from statechart.documents.settings import LATE_END
 from statechart.documents.validation import Document, located
 from statechart.engines.engine import TimeBudget
@@ -514,8 +513,3 @@ def as_overrides(parameters: Mapping[str, float] | None) -> dict[str, float]:
             advice="such as parameters={'mu': 0.3}",
         )
     return dict(parameters or {})
-
-
-def is_real(value: object) -> bool:
-    """Return whether a value is a real number."""
-    return isinstance(value, Real) and not isinstance(value, bool)

@@ -160,7 +160,7 @@ def numbers(name: str, values: Sequence[float] | Array) -> Array:
     """Return values (n,) of a parameter as floats."""
     try:
         found = np.atleast_1d(np.asarray(values, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise DeclarationError(f"the values of {name} must be numbers") from None
     if found.ndim != 1 or found.size == 0:
         raise DeclarationError(

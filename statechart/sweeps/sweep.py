@@ -147,7 +147,12 @@ def make_plan(
     outputs: Sequence[str] | None = None,
 ) -> Plan:
     """Return the plan of a sweep; see `sweep` for the parameters."""
-    if (over is None) == (samples is None):
+    if over is None and samples is None:
+        raise DeclarationError(
+            "a sweep needs values of parameters",
+            advice="such as over={'mu': [0.1, 0.2, 0.3]}, or samples=a table",
+        )
+    if over is not None and samples is not None:
         raise DeclarationError("give either ranges (over) or samples, not both")
     if over is not None and not isinstance(over, Mapping):
         raise DeclarationError(
@@ -180,6 +185,11 @@ def run_plan(
     """Run the undone cells of a sweep; see `sweep` for parameters and errors."""
     if resume and store is None:
         raise DeclarationError("there is no store to resume", advice="give its path")
+    if executor is not None and not hasattr(executor, "submit"):
+        raise DeclarationError(
+            f"executor must be one of concurrent.futures, not {executor!r}",
+            advice="such as ProcessPoolExecutor(4)",
+        )
     with nullcontext(lambda: None) if store is None else lock_folder(Path(store)) as check_lock:
         kept = Store(plan, store, resume=resume, check_lock=check_lock)
         left = kept.undone_count
@@ -202,11 +212,12 @@ def run_plan(
 class _Progress:
     """Progress on stderr, as a bar on a terminal, else as lines.
 
-    The rate is measured since the start or the last line, without compilation.
+    The rate is measured since the first cells, which wait for processes to start, or since the last
+    line, without compilation.
     """
 
     def __init__(self, total: int, done: int) -> None:
-        self._total, self._done, self._said = total, done, done
+        self._total, self._done, self._said = total, done, -1
         self._shown, self._worked = time.monotonic(), working_time()
         self._display = progress.Display(total)
         self.close = self._display.close
@@ -214,12 +225,17 @@ class _Progress:
     def advance(self, count: int) -> None:
         self._done += count
         now, worked = time.monotonic(), working_time()
+        first = self._said < 0
+        if first:
+            self._worked, self._said = worked, self._done
         if not self._display.drawn and now - self._shown < _PROGRESS_INTERVAL:
             return
-        rate = (self._done - self._said) / max(worked - self._worked, 1e-9)
-        left = timedelta(seconds=round((self._total - self._done) / rate))
-        cells = f"{self._done} of {pluralise(self._total, 'cell')}"
-        self._display.show(self._done, f"{cells}, {rate:.3g} a second, {left} left")
+        words = f"{self._done} of {pluralise(self._total, 'cell')}"
+        if not first:
+            rate = (self._done - self._said) / max(worked - self._worked, 1e-9)
+            left = timedelta(seconds=round((self._total - self._done) / rate))
+            words += f", {rate:.3g} a second, {left} left"
+        self._display.show(self._done, words)
         if not self._display.drawn:
             self._shown, self._worked, self._said = now, worked, self._done
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from statechart.documents.declaration import Declaration
+from statechart.documents.fields import replace_fields
 from statechart.documents.hints import check_arguments
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
@@ -181,6 +182,8 @@ def check(
     """
     if not isinstance(examples, int) or examples < 1:
         raise DeclarationError(f"examples must be a whole number from 1 on, not {examples!r}")
+    if seed is not None and (not isinstance(seed, int) or seed < 0):
+        raise DeclarationError(f"seed must be a whole number from 0 on, not {seed!r}")
     model, _ = resolve_model(model)
     subject = Subject(model)
     if model.stop.time is None:
@@ -303,7 +306,7 @@ def _failure(
 ) -> Failure:
     declared = model.values()
     changed = {name: value for name, value in choice.items() if value != declared[name]}
-    copy = model.model_copy(update={"parameters": {**model.parameters, **changed}})
+    copy = replace_fields(model, parameters={**model.parameters, **changed})
     head = [f"`statechart check` of this model fails: {item.name}", *message.splitlines()]
     text = "".join(f"# {line}\n" for line in head) + dump(copy)
     return Failure(changed, message, text)

@@ -17,6 +17,7 @@ from statechart.automaton.regions import Mode
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.documents.declaration import Declaration
+from statechart.documents.fields import replace_fields
 from statechart.documents.setting import Setting
 from statechart.engines.request import plan_request
 from statechart.errors import DeclarationError, DeclarationProblem, SimulationError
@@ -57,8 +58,8 @@ class Subject:
         self.model, self.step = model, setting.step
         if self.step is not None:
             # Transformed models are run with the step of the original.
-            chosen = model.settings.model_copy(update={"engine": "impulse", "step": self.step})
-            self.model = model.model_copy(update={"settings": chosen})
+            chosen = replace_fields(model.settings, engine="impulse", step=self.step)
+            self.model = replace_fields(model, settings=chosen)
             self.observers["impulse"] = made.at(setting)
         method = model.settings.method
         for name in ("taylor", "scipy") if self.step is None else ():
@@ -115,8 +116,8 @@ class Subject:
             or (settings.impulse_tolerance or DEFAULT_IMPULSES.tolerance) <= _FINER_TOLERANCE
         ):
             return None
-        chosen = settings.model_copy(update={"impulse_tolerance": _FINER_TOLERANCE})
-        return Subject(self.model.model_copy(update={"settings": chosen}))
+        chosen = replace_fields(settings, impulse_tolerance=_FINER_TOLERANCE)
+        return Subject(replace_fields(self.model, settings=chosen))
 
     def end(self, parameters: Mapping[str, float]) -> float:
         """Return the end time of a run.

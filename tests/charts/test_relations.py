@@ -283,14 +283,14 @@ def test_a_mistake_in_a_list_of_relations_has_the_place_of_its_item(field, wrong
     [
         ("sign(x - 0.5)**2 <= 0", 0.5),
         ("abs(sign(x - 0.5)) <= 0", 0.5),
-        ("not (x - 0.5)**2 > 0", 0.5),
+        ("not 2*sign(x - 0.5)**4 > 0", 0.5),
         ("sign(0.5 - x) <= 0", 0.5),
-        ("(x - 0.5)**2 + 3*(y - 1)**2 <= 0", 0.5),
-        ("(x - 0.5)**2 + 3*(y - 1.1)**2 <= 0", None),
-        ("(x - 0.5)**2 < 0", None),
+        ("sign(x - 0.5)**2 < 0", None),
+        ("sign(x - 0.5)**2 + 3*sign(y - 1)**2 <= 0", 0.5),
+        ("sign(x - 0.5)**2 + 3*sign(y - 1.1)**2 <= 0", None),
     ],
 )
-def test_guard_that_squares_hold_at_one_instant_fires_there(guard, time, engine):
+def test_guard_that_signs_make_true_at_one_instant_fires_there(guard, time, engine):
     text = f"""\
 kind: chart
 name: instant

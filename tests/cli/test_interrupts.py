@@ -336,3 +336,24 @@ def test_an_empty_name_is_no_folder(
     assert main([verb, "bouncing_ball_chart", "--output", ""]) == 2
     assert "--output: the name is empty" in capsys.readouterr().err
     assert os.listdir(tmp_path) == []
+
+
+def test_a_signal_in_a_callback_of_the_interpreter_prints_no_traceback() -> None:
+    code = """
+import signal, weakref
+from statechart import interrupts
+from statechart.cli.streams import be_quiet
+interrupts.listen()
+be_quiet()
+class Thing: pass
+thing = Thing()
+kept = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGINT))
+del thing
+print(interrupts.signal_count())
+kept = weakref.ref(last := Thing(), lambda _: 1 / 0)
+del last
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "1\n"
+    assert "KeyboardInterrupt" not in done.stderr
+    assert "ZeroDivisionError" in done.stderr

@@ -65,6 +65,32 @@ def scene(**changes: object) -> Scene:
             lambda: run("toppling_stick", parameters={"mu": "0.3"}),
             "parameter 'mu' must be a number, not '0.3'; a formula is for with_(mu=...)",
         ),
+        (
+            lambda: run("toppling_stick", parameters={"mu": 10**400}),
+            "parameter 'mu' must be a number, not 1000",
+        ),
+        (lambda: run(scene(), until=10**400), "the end must be a finite time from 0 on, not 1000"),
+        (lambda: run(scene(), tolerance=10**400), "tolerance must be a number, not 1000"),
+        (lambda: Stop(time=10**400), "formula '1e400': the number is too large for a float"),
+        (lambda: run(scene()).at(np.ones(2)), "Result.at: t must be a number, not array([1., 1.])"),
+        (
+            lambda: sweep("toppling_stick", over={"mu": [0.1]}, executor=4),
+            "executor must be one of concurrent.futures, not 4; such as ProcessPoolExecutor(4)",
+        ),
+        (lambda: sweep(scene()), "a sweep needs values of parameters; such as over={"),
+        (lambda: check(scene(), seed=-1), "seed must be a whole number from 0 on, not -1"),
+        (
+            lambda: scene().model_copy(update={"gravty": 3}),
+            "Scene('thrown'): unknown key 'gravty'; did you mean 'gravity'?",
+        ),
+        (
+            lambda: scene().model_copy(update={"bodies": {"rod": 5}}),
+            "Scene('thrown'): bodies.rod: must be a mapping, not 5",
+        ),
+        (
+            lambda: Body(mass=1).model_copy(update={"mass": "("}),
+            "Body: mass: formula '(': the formula ends early",
+        ),
         (lambda: run(scene(), until="1"), "the end must be a finite time from 0 on, not '1'"),
         (lambda: run(scene(), tolerance="1e-9"), "tolerance must be a number, not '1e-9'"),
         (

@@ -21,6 +21,19 @@ def test_a_variant_runs_as_the_model_with_these_values():
     assert statechart.run(other).outputs == set_.outputs
 
 
+def test_a_copy_of_a_chart_runs_its_own_regions_and_not_those_of_a_run_before():
+    chart = statechart.load("bouncing_ball_chart")
+    statechart.run(chart)  # which fills the caches of the chart
+    region = chart.regions["ball"].model_copy(update={"transitions": ()})  # type: ignore[attr-defined]
+    other = chart.model_copy(
+        update={"regions": {"ball": region}, "outputs": {}, "stop": {"time": 3}}
+    )
+    v0, g = chart.values()["v0"], chart.values()["g"]
+    trace = statechart.run(other).trace
+    final = dict(zip(trace.variables, trace.final, strict=True))
+    assert final["v"] == pytest.approx(v0 - 3 * g, rel=1e-14)
+
+
 def test_numbers_of_copies_are_parameters_too():
     assert len(statechart.load("dice").with_(n=3).single_bodies()) == 3  # type: ignore[attr-defined]
 

@@ -486,7 +486,8 @@ def test_the_least_value_along_many_flows_is_the_least_of_each():
 
 def integrals(tape, times, coeffs, begin, end):
     steps = Steps(times, coeffs, np.zeros(1), 4.0)
-    return integrate_outputs(tape.parts, steps, begin, end)
+    sums, ends = integrate_outputs(tape.parts, steps, begin, end)
+    return sums.sum(axis=0), ends
 
 
 def test_integrals_are_exact_for_polynomials_and_add_up():

@@ -389,3 +389,11 @@ def test_scene_passes_all_properties(text: str) -> None:
     subject = Subject(model)
     for item in body_properties(model):
         item.holds(subject.case({}))
+
+
+def test_masses_beyond_1e40_move_like_masses_of_kilograms() -> None:
+    heavy = RAM.replace("mass: 2", "mass: 2e50").replace(
+        "mass: 1, inertia: 1", "mass: 1e50, inertia: 1e50"
+    )
+    heavy = heavy.replace("force: [10, 0]", "force: [10e50, 0]")
+    assert _final(_run(heavy)) == pytest.approx(_final(_run(RAM)), rel=1e-9, abs=1e-9)

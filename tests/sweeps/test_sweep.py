@@ -266,7 +266,7 @@ def test_a_sweep_opens_in_pandas_and_netcdf(tmp_path: Path) -> None:
         ({"over": {"mu": [math.nan]}}, "not nan"),
         ({"over": {"mu": np.linspace(0, 1, 20_000), "L": np.linspace(1, 2, 20_000)}}, "at most"),
         ({"over": {}}, "needs parameters"),
-        ({"over": None}, "give either ranges"),
+        ({"over": None}, "a sweep needs values of parameters"),
         ({"samples": pd.DataFrame({"mu": [1.0]})}, "give either ranges"),
         ({"outputs": ["slip"]}, "no output 'slip'"),
         ({"until": -1.0}, "finite time"),

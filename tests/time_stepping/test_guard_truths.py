@@ -197,3 +197,17 @@ def test_stops_and_transitions_fire_alike_with_events_and_by_steps(
         run = statechart.run(read_text(text), **setting)
         times = [jump.t for jump in run.trace.jumps if jump.cause in ("go", "stop")]
         assert times == ([] if fires is None else pytest.approx([fires], abs=1.1 * STEP))
+
+
+@pytest.mark.parametrize(("width", "true"), [(4e-4, True), (8e-4, True), (9e-4, False)])
+def test_steps_warn_of_a_window_just_after_a_wrap(width: float, true: bool) -> None:
+    """The period ends at 0.30017, within the step to 0.301; the window ends there, or after it."""
+    text = BALL.replace("GUARD", f"mod(time, 0.30017) < {width} and time > 0.1")
+    for step in (None, STEP, 1e-4):
+        setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+        run = statechart.run(read_text(text.replace("E}", "0}")), **setting)
+        times = [jump.t for jump in run.trace.jumps if jump.cause == "go"]
+        passed = step == STEP and true
+        assert times == ([] if passed else [pytest.approx(0.30017, abs=1.1 * (step or 1e-9))])
+        warns = [w for w in run.warnings if "go is true within the step of 0.001 at t = 0.3" in w]
+        assert len(warns) == passed
