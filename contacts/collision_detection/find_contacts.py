@@ -41,11 +41,13 @@ from contacts.collision_detection.internal_edges import (
 from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import TOUCH_TOLERANCE, Midpoint
 from contacts.collision_detection.surfaces import (
+    HOLLOW,
     PLATE,
     ROUND,
     Ground,
     distance,
     surface_contacts,
+    to_world,
 )
 from contacts.collision_detection.time_of_impact import (
     ARRIVED,
@@ -59,7 +61,14 @@ from contacts.collision_detection.time_of_impact import (
     turning_speed,
     will_collide,
 )
-from contacts.time_stepping.chunk import HIT, SEPARATED, SLOW, TIME_MARGIN, contact_role
+from contacts.time_stepping.chunk import (
+    HIT,
+    SEPARATED,
+    SLOW,
+    TIME_MARGIN,
+    contact_role,
+    curvature_speed,
+)
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -366,6 +375,25 @@ def _move_between(
 
 
 @kernel
+def _hollow_curvature_speed(
+    numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, gap: float
+) -> float:
+    """Return the `curvature_speed` of a disc in a hollow circle; 0 for other pairs."""
+    p, s, surfaces = pair.p, pair.q - len(numbers.pieces.sizes), numbers.surfaces
+    if pair.whole or numbers.pieces.radii[p] == 0.0 or surfaces.kinds[s] != HOLLOW:
+        return 0.0
+    pose, (u, v, turning) = mid.poses[pair.other], mid.old_rates[pair.other]
+    x, y = to_world(pose, surfaces.numbers[s, 0], surfaces.numbers[s, 1])
+    u, v = u - turning * (y - pose[1]), v + turning * (x - pose[0])
+    across, up = mid.centres[p, 0] - x, mid.centres[p, 1] - y
+    away = norm(across, up)
+    if away == 0.0:
+        return 0.0
+    along = (across * (mid.drifts[p, 1] - v) - up * (mid.drifts[p, 0] - u)) / away
+    return curvature_speed(along * along / away, -gap)
+
+
+@kernel
 def _write_if_active(
     numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
     times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
@@ -404,7 +432,8 @@ def _write_if_active(
         # A contact that has rebounded can return by rotation alone: no impact in every step.
         turned = h / times.since * turning_change(warm, place, m, active)[0]
     forced = abs(active.free[m, 0] - active.before[m, 0] + turned)
-    slow = SLOW * max(gained, forced, TOUCH_TOLERANCE * pair.size / h)
+    curved = _hollow_curvature_speed(numbers, mid, pair, gap)
+    slow = SLOW * max(gained, forced, curved, TOUCH_TOLERANCE * pair.size / h)
     if gap < 0.0 and not known:
         explained = times.since * max(warm.last_step[1], nearing, slow)
         if times.first:

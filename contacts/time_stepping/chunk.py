@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from contextlib import suppress
@@ -201,13 +202,23 @@ def contact_role(
 
 
 @kernel
+def curvature_speed(towards: float, depth: float) -> float:
+    """Return the approach velocity, over `SLOW`, that curvature explains at a depth.
+
+    After a tangential touch a surface that curves `towards` a point, with this acceleration,
+    approaches at ``sqrt(2 towards depth)``, or somewhat slower if the curvature grows.
+    """
+    return math.sqrt(towards * depth) if towards > 0.0 and depth > 0.0 else 0.0
+
+
+@kernel
 def time_in_contact(start: float, rate: float, h: float) -> float:
     """Return how long the force of a compliant contact acts in a step: from its touchdown on.
 
     `start`, `rate`: gap and its rate at the start of the step.
     """
-    if start > 0.0 > start + h * rate and h + start / rate > 0.0:
-        return h + start / rate
+    if start > 0.0 >= start + h * rate:
+        return max(h + start / rate, TIME_MARGIN * h)
     return h
 
 

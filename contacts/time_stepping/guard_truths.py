@@ -223,8 +223,9 @@ class StepTruths:
             np.array([end.time]), end.state[None], solved[None], end.h, self._zero[:1]
         )
         back = ends.true & self._back
-        if end.after_transitions and end.last is not None:
-            back |= ends.true & self._before_transitions(end, end.last, ends)
+        early = ends.margins - end.h * ends.rates < -ends.zero
+        if end.after_transitions and end.last is not None and (ends.true | early).any():
+            back |= ends.true & self._before_transitions(end, end.last, ends, early)
         if back.any():
             # With accelerations that have reversed, too.
             rates = self.table(np.array([end.time]), end.state[None], end.solved[None], 1)[..., 0]
@@ -254,18 +255,17 @@ class StepTruths:
         decided = (margins > least) | ((margins < -least) & np.isfinite(rates))
         return not bool(decided.all())
 
-    def _before_transitions(self, end: StepEnd, last: Chunk, ends: _Ends) -> Bools:
+    def _before_transitions(self, end: StepEnd, last: Chunk, ends: _Ends, early: Bools) -> Bools:
         """Return the atoms (1, a) that fell to their bound in the step before transitions.
 
         In a step with an impact these fell before it; atoms that jump at the impact do not fall.
-        Warns of guards that are true just after atoms jump, if that was within the step.
+        Warns of guards that are true if atoms jump within the step, which are true `early` then.
         """
         times, solved = end.time - last.h * np.array([1, 0]), np.tile(last.solved[-1], (2, 1))
         (first, now), (fall, _) = (
             self.table(times, last.states[-2:], solved, order)[..., 0] for order in (0, 1)
         )
-        jumps = np.abs(ends.margins - now) > ends.zero
-        jumps &= ends.margins - last.h * ends.rates < -ends.zero
+        jumps = early & (np.abs(ends.margins - now) > ends.zero)
         rows, codes = np.vstack([now < 0.0, ends.true, ends.true | jumps]), end.codes[None]
         was, true, may = self._guards(rows, np.tile(codes, (3, 1)))
         for i in np.flatnonzero(may & ~true & ~was).tolist():
@@ -341,8 +341,9 @@ class StepTruths:
             return None
         known = np.isfinite(np.hstack([chunk.states[1:], chunk.solved]))
         unknown &= np.all(known, axis=1, keepdims=True)
+        # Guards without atoms ask for states alone.
         parts = [
-            unknown[:, first : first + len(condition.atoms)].all(axis=1)
+            unknown[:, first : first + len(condition.atoms)].all(axis=1) & bool(condition.atoms)
             for _, condition, first in self._watch.placed
         ]
         lost = np.argwhere(np.stack(parts, axis=1)).tolist()

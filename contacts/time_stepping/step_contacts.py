@@ -51,6 +51,7 @@ from contacts.time_stepping.chunk import (
     Chunk,
     compliant_row,
     contact_role,
+    curvature_speed,
     time_in_contact,
 )
 from contacts.time_stepping.equations import (
@@ -160,13 +161,14 @@ def _slow(
 ) -> float:  # fmt: skip
     """Return the approach velocity up to which a contact lasts; see `SLOW`.
 
-    A contact that has rebounded can return by rotation alone: no impact in every step.
+    A contact that has rebounded can return by rotation alone: no impact in every step. A point that
+    meets a surface tangentially has, at its depth, the approach that the curvature gives it.
     """
     change = met.free[i, 0] - met.before[i, 0]
-    slow = abs(change)
+    slow, at = abs(change), tape.first + tape.per * i + 2 * tape.size
     if memory.landing_steps[i] > 0:
-        row = tape.first + tape.per * i
-        slow = max(slow, abs(change + h * tape.numbers[row + 2 * tape.size]))
+        slow = max(slow, abs(change + h * tape.numbers[at]))
+    slow = max(slow, curvature_speed(-tape.numbers[at], -tape.numbers[at + 2]))
     return max(SLOW * slow, scene.speed_tolerance)
 
 
@@ -192,14 +194,16 @@ def find_active(
             met.active[i], met.bias[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
             continue
         if scene.compliance[i, 0] > 0.0:
-            met.active[i] = gap - 0.5 * h * abs(before[0]) <= scene.gap_tolerance
+            start, end = gap - 0.5 * h * before[0], gap + 0.5 * h * before[0]
+            met.active[i] = start <= scene.gap_tolerance or end <= 0.0
             met.bias[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
         closing, reached = h * (slow - (free[0] + bias)), TIME_MARGIN * h * nearing
-        # No more than half a step early: bounces within the gap tolerance would sink, not end.
-        reached = max(reached, min(scene.gap_tolerance, 0.5 * h * nearing))
+        # No more than half a step early: bounces within the gap tolerance would sink, not end. A
+        # surface that curves away is not reached.
+        reached = max(reached, min(scene.gap_tolerance, 0.5 * h * (nearing - 0.5 * bias)))
         if memory.closed[i] and level[i] == math.inf:
             # It has no target gap at the start: rotation until mid-step takes no force.
             level[i] = gap

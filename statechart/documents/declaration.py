@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
@@ -52,6 +53,13 @@ def _units(value: Any) -> Any:
                 "{length: mm, time: s, mass: g}",
             )
         return dict(quantities.SYSTEMS[value])
+    for name, unit in value.items() if isinstance(value, Mapping) else ():
+        if isinstance(unit, str) and re.match(r"[-+]?[0-9.]+ *[^\W\d]", unit):
+            raise DeclarationProblem(
+                f"{unit!r} is a quantity, and nothing is converted",
+                advice="write the unit alone, such as mm",
+                loc=(name,),
+            )
     return value
 
 

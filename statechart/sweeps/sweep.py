@@ -185,6 +185,11 @@ def run_plan(
     """Run the undone cells of a sweep; see `sweep` for parameters and errors."""
     if resume and store is None:
         raise DeclarationError("there is no store to resume", advice="give its path")
+    if executor is not None and not hasattr(executor, "submit"):
+        raise DeclarationError(
+            f"executor must be one of concurrent.futures, not {executor!r}",
+            advice="such as ProcessPoolExecutor(4)",
+        )
     with nullcontext(lambda: None) if store is None else lock_folder(Path(store)) as check_lock:
         kept = Store(plan, store, resume=resume, check_lock=check_lock)
         left = kept.undone_count

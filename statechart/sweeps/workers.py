@@ -88,7 +88,7 @@ def cluster(address: str) -> Iterator[Executor]:
     except ImportError:
         raise DeclarationError(
             "a cluster needs Dask, which is not installed",
-            advice='install it with: pip install "contact-statecharts[cluster]"',
+            advice="install it with: pip install 'distributed>=2024.8'",
         ) from None
     # A Dask client without a scheduler would retry, and log errors when deleted.
     try:

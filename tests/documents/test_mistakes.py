@@ -36,6 +36,8 @@ MISTAKES = {
         "stop: {", "regions: {r: {initial: a, states: {a: {sets: {u: 1}}}}}\nstop: {",
         "no control 'u'; declare it: controls: {u: 0}"),
     "a moment in time": ("at: first tip.slip", "at: 1.5", "not 1.5; in a region write {name: tick"),
+    "a quantity as unit": ("mu: 0.5", "mu: 0.5}\nunits: {length: 0.01 m",
+                           "units.length: '0.01 m' is a quantity, and nothing is converted; write"),
     "a moment of 401 digits": ("at: first tip.slip", f"at: {10**400}", "{name: tick, from: STATE"),
     "values every second": ("at: first tip.slip", "every: 1", "write --samples after `run`, for a"),
     "a mean": ("{value: time, at: first tip.slip}", "{mean: rod.y}", "not 'mean'; write integral"),

@@ -73,6 +73,10 @@ def scene(**changes: object) -> Scene:
         (lambda: run(scene(), tolerance=10**400), "tolerance must be a number, not 1000"),
         (lambda: Stop(time=10**400), "formula '1e400': the number is too large for a float"),
         (lambda: run(scene()).at(np.ones(2)), "Result.at: t must be a number, not array([1., 1.])"),
+        (
+            lambda: sweep("toppling_stick", over={"mu": [0.1]}, executor=4),
+            "executor must be one of concurrent.futures, not 4; such as ProcessPoolExecutor(4)",
+        ),
         (lambda: sweep(scene()), "a sweep needs values of parameters; such as over={"),
         (lambda: check(scene(), seed=-1), "seed must be a whole number from 0 on, not -1"),
         (

@@ -141,3 +141,37 @@ def test_a_compliant_force_is_that_from_the_touchdown_on(height: float, step: fl
     assert outputs["t"] == pytest.approx(lands + flight.t_events[0][-1], abs=near)
     # 3000 v is the rate of the spring's force.
     assert outputs["V"] == pytest.approx(30 * fast, abs=3000 * fast * near)
+
+
+LANDS = """
+kind: scene
+name: lands
+parameters: {press: 10}
+gravity: 10
+bodies: {ball: {mass: 1, start: {y: 0.2}}}
+surfaces: {floor: {height: 0}}
+contacts: {foot: {point: {body: ball}, surface: floor, friction: 0.5, restitution: 0}}
+forces: {hand: {body: ball, force: [0, -press*time]}}
+regions:
+  clock:
+    initial: waits
+    states: {waits: {}, over: {}}
+    transitions: [{name: tick, from: waits, to: over, after: 0.8}]
+  watch:
+    initial: idle
+    states: {idle: {}, loaded: {}, late: {}}
+    transitions:
+      - {name: load, from: idle, to: loaded, guard: foot.V >= 15}
+      - {name: stop, from: idle, to: late, guard: in(clock.over)}
+stop: {time: 1}
+outputs: {fires: {value: time, at: first watch.load or watch.stop}}
+"""
+
+
+@pytest.mark.parametrize(("press", "fires"), [(10.0, 0.5), (1.0, 0.8)])
+def test_a_guard_on_states_alone_has_a_value_in_steps_with_impacts(
+    press: float, fires: float
+) -> None:
+    runner = Runner(read_text(LANDS), engine="impulse", step=1e-3)
+    found = runner.run({"press": press}).outputs["fires"]
+    assert found == pytest.approx(fires, abs=3e-3)

@@ -430,10 +430,11 @@ def test_a_stop_that_new_parameters_make_true_is_met_when_they_change(step: floa
     assert last.before[1] == pytest.approx(0.8, abs=1e-9)
 
 
+@pytest.mark.parametrize("engine", ["impulse", "taylor", "scipy"])
 @pytest.mark.parametrize(("height", "step"), [(1.0017, 1e-3), (1.0, 2.5e-4)])
 @pytest.mark.parametrize(("bound", "stops"), [("0", False), ("1e-6*(c - 1)", False), ("8*c", True)])
 def test_new_parameters_keep_a_bound_that_a_bounce_reverses(
-    bound: str, stops: bool, height: float, step: float
+    bound: str, stops: bool, height: float, step: float, engine: str
 ) -> None:
     """The ball lands at t, and the bound stays below it, or is moved above it after that."""
     body = POINT.replace("START", f"start: {{y: {height}}}")
@@ -447,8 +448,9 @@ def test_new_parameters_keep_a_bound_that_a_bounce_reverses(
         moved = sample.t > after if stops else sample.t
         return {"f": sample.t, "c": float(moved)}
 
+    setting: Any = {"step": step} if engine == "impulse" else {}
     stream = Runner(
-        read_text(text.replace("time: 1", "time: 0.6")), engine="impulse", step=step
+        read_text(text.replace("time: 1", "time: 0.6")), engine=engine, **setting
     ).stream
     *_, last = stream(control=control, every=step)
     assert (getattr(last, "cause", None) == "stop") == stops

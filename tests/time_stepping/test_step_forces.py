@@ -269,3 +269,32 @@ settings: {{engine: impulse, step: 1e-3}}
     assert [jump.cause for jump in result.trace.jumps] == ["lock"]
     words = "brake comes to rest with its friction at the bound: it sticks, and might slip on"
     assert result.warnings == ((words,) if warned else ())
+
+
+SOFT_WALL = """
+kind: scene
+name: soft_wall
+bodies: {{b: {{mass: 1, inertia: 0.004, {shape} start: {{x: 0.5, dx: 2}}}}}}
+surfaces: {{wall: {{line: [[1, 0], [1, 1]]}}}}
+{contact}
+stop: {{time: 0.2}}
+outputs: {{v: {{value: b.dx}}}}
+"""
+_SOFT = "friction: 0.3, stiffness: 5000, damping: 10"
+
+
+@pytest.mark.parametrize("step", [2e-3, 1e-3, 5e-4, 2.5e-4])
+@pytest.mark.parametrize(
+    ("shape", "contact"),
+    [
+        ("", f"contacts: {{c: {{point: {{body: b}}, radius: 0.1, surface: wall, {_SOFT}}}}}"),
+        ("shape: {disc: 0.1},", f"collisions: {{c: {{bodies: [b], surfaces: [wall], {_SOFT}}}}}"),
+    ],
+)
+def test_a_compliant_contact_that_touches_at_the_end_of_a_step_has_no_force_in_it(
+    shape: str, contact: str, step: float
+) -> None:
+    # It touches at (1 - 0.1 - 0.5)/2 = 0.2, the end of the run.
+    text = SOFT_WALL.format(shape=shape, contact=contact)
+    result = Runner(read_text(text), engine="impulse", step=step).run({})
+    assert result.outputs["v"] == pytest.approx(2.0, abs=1e-4)

@@ -1,0 +1,39 @@
+"""Landings on surfaces that curve up from flat: one touchdown, at the closed form's instant."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from statechart import run
+from statechart.documents.yaml_reader import read_text
+
+RAMP = """
+kind: scene
+name: ramp
+gravity: 0
+bodies: {b: {mass: 1, start: {x: -1, dx: SPEED}}}
+surfaces: {floor: {height: HEIGHT}}
+contacts:
+  c: {point: {body: b}, surface: floor, friction: 0, restitution: BOUNCE, impact: moreau, GATE}
+stop: {time: 0.9}
+settings: {engine: impulse, step: STEP}
+"""
+
+
+@pytest.mark.parametrize("height", ["5*x**3", "50*x**3", "5*x**5", "5*x**2"])
+@pytest.mark.parametrize("bounce", ["0", "0.5", "0.9"])
+@pytest.mark.parametrize(("speed", "step"), [(1.237, 1e-3), (2.0, 1e-3), (3.0, 2.5e-4)])
+def test_point_that_meets_a_surface_tangentially_lands_once(
+    height: str, bounce: str, speed: float, step: float
+) -> None:
+    text = RAMP.replace("GATE", "enabled: b.x >= 0" if "**2" in height else "")
+    for word, value in (("HEIGHT", height), ("BOUNCE", bounce), ("SPEED", speed), ("STEP", step)):
+        text = text.replace(word, str(value))
+    trace = run(read_text(text)).trace
+    events = [jump for jump in trace.jumps if jump.cause != "enable"]
+    assert [jump.cause for jump in events] == ["touchdown"]
+    assert events[0].t == pytest.approx(1 / speed, abs=2 * step)
+    # Without friction the surface turns the velocity, and keeps its size.
+    assert math.hypot(*trace.final[2:]) == pytest.approx(speed, rel=1e-4)
