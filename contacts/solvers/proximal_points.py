@@ -412,7 +412,8 @@ def solve_by_proximal_points(
     exact = falls = tolerance <= VERIFIED
     # Near a solution the status is known: a small compliance solves it in one step.
     compliance = min(max(lowest, _MIN_COMPLIANCE), _FIRST) if exact else _FIRST
-    factored = 0.0  # The compliance of factored equations.
+    # The compliance of the factored equations; whether it may fall at once.
+    factored, leaps = 0.0, exact
     iterations = idle = 0
     most = min(_MAX_ITERATIONS, _MAX_PRODUCTS // count)
     while iterations < most and idle < _IDLE and (lowest > tolerance or falls):
@@ -444,14 +445,14 @@ def solve_by_proximal_points(
                     shift[i, d] = compliance * contacts.own[i, d] * away
             copy_rows(now, centre)
             last_status[:], last_edges[:], has_last = status, edges, True
-            if exact and taken <= 1 and compliance > _REFINING:
+            if leaps and taken <= 1 and compliance > _REFINING:
                 compliance = _REFINING
             elif not fast:
                 compliance = max(_FALLS * compliance, _MIN_COMPLIANCE)
         elif compliance >= _LARGEST or lowest <= tolerance:
             break
         else:
-            compliance = min(_GROWS * compliance, _LARGEST)
+            compliance, leaps = min(_GROWS * compliance, _LARGEST), False
             copy_rows(centre, now)
             write_velocity_change(contacts, now, rates)
     return lowest, iterations
