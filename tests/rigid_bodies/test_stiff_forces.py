@@ -164,10 +164,11 @@ def test_a_reverted_next_step_keeps_the_error_of_the_run(monkeypatch):
     assert str(second.value) == str(first.value)
 
 
-@pytest.mark.parametrize("mass", [500, 5000, 50000])
-def test_a_load_that_jerks_a_bridge_taut_is_carried(mass):
-    # Torn through, or ended, where arms turned as in the step before.
+@pytest.mark.parametrize(("mass", "spread"), [(500, 5e-4), (5000, 5e-4), (50000, 3e-3)])
+def test_a_load_that_jerks_a_bridge_taut_is_carried(mass, spread):
+    # Torn through, or ended, where arms turned as in the step before. Of a load of 50000, one that
+    # is heavier by 2e-5 ends up to 2e-3 from it, because steps are split.
     text = bridge(mass, 1e-3).replace("outputs: {", "outputs: {first: {value: energy, at: start}, ")
     outputs = Runner(interpret(read_text(text))).run().outputs
-    assert outputs["y"] == pytest.approx(0.0231, abs=5e-4)
+    assert outputs["y"] == pytest.approx(0.0231, abs=spread)
     assert outputs["most"] < 1.005 * outputs["first"]
