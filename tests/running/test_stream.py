@@ -136,6 +136,27 @@ def test_invalid_values_of_a_control_are_reported_with_their_place() -> None:
         list(pieces)
 
 
+WRAPPED = """\
+kind: chart
+name: wrapped
+parameters: {T: 0.2}
+variables: {x: 0}
+regions: {phase: {initial: runs, states: {runs: {flows: {x: "mod(time, T)"}}}}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("period", [0.3, 0.1])
+def test_a_new_period_wraps_time_anew(period: float) -> None:
+    control = lambda sample: {"T": period} if sample.t == pytest.approx(0.5) else None  # noqa: E731
+    pieces = [*Runner(read_text(WRAPPED), engine="taylor").stream(every=0.5, control=control)]
+    ends = [piece.coefficients[-1].sum(axis=1)[0] for piece in pieces if isinstance(piece, Arc)]
+    integral = lambda t, T: (t // T) * T * T / 2 + (t % T) ** 2 / 2  # noqa: E731
+    before = integral(0.5, 0.2)
+    after = integral(1.0 + 1e-12, period) - integral(0.5 + 1e-12, period)
+    assert ends[-1] == pytest.approx(before + after, abs=1e-9)
+
+
 SURFACES = """\
 kind: scene
 name: surfaces
