@@ -122,7 +122,7 @@ class ControlledLaws:
                 np.array([contact[:3] for contact in update.contacts]).reshape(-1, 3)
                 for update in (before_update, after_update)
             )
-            contacts, _ = modes_after_jump(
+            contacts, _, _ = modes_after_jump(
                 self._mechanics.scene, inner.contacts, inner.tolerances, contacts, *rates
             )
         jump = at.jump(
@@ -149,7 +149,7 @@ class ControlledLaws:
         inner = at._replace(setup=new, flow=self._parted(at.flow))
         jump, flow = self._at(controllers).change(inner, old)
         if jump is None:
-            return None, at.flow._replace(values=flow.values)
+            return None, self._joined(at.setup, at.clock, flow, controllers, at.state, at.flow)
         return self._joined_jump(at, jump, flow, controllers)
 
     def _closed(
