@@ -136,9 +136,16 @@ class Recorder:
         """Return the steps (k,) in which `add` will record jumps."""
         return self._changed(self.recorded_modes(chunk)) | np.any(chunk.struck, axis=1)
 
-    def take_finished(self, *, watched: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
-        """Remove and return finished arcs and jumps; empty unless `watched`."""
-        finished = (tuple(self.arcs), tuple(self.jumps)) if watched else ((), ())
+    def take_finished(self, *, motion: bool, ended: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
+        """Remove finished arcs and jumps; return them if the `motion` is wanted, or the last arc.
+
+        The last arc is returned where the run has `ended`.
+        """
+        finished: tuple[Sequence[Arc], Sequence[Jump]] = (), ()
+        if motion:
+            finished = tuple(self.arcs), tuple(self.jumps)
+        elif ended and self._arcs:
+            finished = (self._maker.arc(self._arcs[-1]),), ()
         self._arcs.clear()
         self._jumps.clear()
         return finished

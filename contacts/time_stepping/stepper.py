@@ -368,8 +368,8 @@ class SteppedRun:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""
         watch = self.request.outputs
         if self.request.record is not Record.MODES:
-            watched = watch is not None and (ended or watch.motion)
-            arcs, jumps = self.recorder.take_finished(watched=watched)
+            motion = watch is not None and watch.motion
+            arcs, jumps = self.recorder.take_finished(motion=motion, ended=ended)
             if watch is not None and (arcs or jumps):
                 watch.add(replace(self._piece, arcs=arcs, jumps=jumps))
 
