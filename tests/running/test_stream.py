@@ -157,6 +157,39 @@ def test_a_new_period_wraps_time_anew(period: float) -> None:
     assert ends[-1] == pytest.approx(before + after, abs=1e-9)
 
 
+TICKS = """\
+kind: chart
+name: ticks
+parameters: {T: 0.3, x: 0}
+regions:
+  r: {initial: on, states: {on: {}}, transitions: [{name: tick, from: on, every: T}]}
+stop: {time: 2}
+"""
+SAMPLED = TICKS.replace("chart", "scene") + "bodies: {b: {mass: 1, start: {dx: 1}}}\n"
+
+
+@pytest.mark.parametrize("text", [TICKS, SAMPLED])
+@pytest.mark.parametrize(
+    ("period", "values", "ticks"),
+    [
+        ("0.3", {"x": 1}, [0.3, 0.6, 0.9, 1.2, 1.5, 1.8]),
+        ("0.3", {"T": 0.5}, [0.3, 0.6, 0.9, 1.4, 1.9]),
+        ("0.3", {"T": 0.25}, [0.3, 0.6, 0.9, 1.15, 1.4, 1.65, 1.9]),
+        # The last tick is longer ago than a new period.
+        ("0.7", {"T": 0.2}, [0.7, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0]),
+        ("10", {"T": 0.01}, [1.0 + 0.01 * k for k in range(101)]),
+    ],
+)
+def test_a_new_period_counts_from_the_last_tick(
+    text: str, period: str, values: Mapping[str, float], ticks: list[float]
+) -> None:
+    runner = Runner(read_text(text.replace("T: 0.3", f"T: {period}")), engine="taylor")
+    control = lambda sample: values if sample.t == pytest.approx(1.0) else None  # noqa: E731
+    pieces = runner.stream(every=1.0, until=2.001, control=control)
+    at = [piece.t for piece in pieces if isinstance(piece, Jump)]
+    assert at == pytest.approx(ticks, abs=1e-12)
+
+
 SURFACES = """\
 kind: scene
 name: surfaces
