@@ -156,7 +156,9 @@ class Execution:
         self.zeros, self.entered = setup.zeros, {}
         before = self.setup
         self.setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
-        jump, self.flow = self.automaton.laws_of_events.change(self._instant(), before)
+        jump, flow = self.automaton.laws_of_events.change(self._instant(), before)
+        self.state = self.state if flow.start is None else flow.start
+        self.flow = flow._replace(start=None)
         if jump is not None:
             self.record.add_jump(jump)
         return self.settle()
