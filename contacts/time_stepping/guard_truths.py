@@ -168,6 +168,7 @@ class StepTruths:
         regions: ActiveStates,
         guards: ControlGuards,
         states: Key,
+        before: StepTruths | None = None,
     ) -> None:
         self._setup, self._regions = setup, regions
         # Places of the unknowns of guards among those of steps.
@@ -184,6 +185,27 @@ class StepTruths:
         # Steps that do not know forces: their true atoms, unknown atoms, and modes.
         self._hidden = np.zeros((0, 1), np.int64)
         self._found = dict[str, str]()  # Guard -> warning at the last instant.
+        if before is not None:
+            self._remember(before)
+
+    def _remember(self, before: StepTruths) -> None:
+        """Continue with what is known of the guards that other states of controllers watch, too."""
+        firsts = {(g.place, g.trigger): first for g, _, first in before._watch.placed}
+        atoms = [
+            (first + k, firsts[g.place, g.trigger] + k)
+            for g, condition, first in self._watch.placed
+            if (g.place, g.trigger) in firsts
+            for k in range(len(condition.atoms))
+        ]
+        here, there = np.array(atoms, np.int64).reshape(-1, 2).T
+        self._zero[:, here], self._back[:, here] = before._zero[:, there], before._back[:, there]
+        self._gaps, self._found = before._gaps, before._found
+        if len(before._hidden):
+            new, old = self._back.shape[1], before._back.shape[1]
+            true, unknown, codes = np.split(before._hidden, [old, 2 * old], axis=1)
+            self._hidden = np.zeros((len(true), 2 * new + codes.shape[1]), np.int64)
+            self._hidden[:, 2 * new :] = codes
+            self._hidden[:, here], self._hidden[:, new + here] = true[:, there], unknown[:, there]
 
     def enter(self, guards: ControlGuards, states: Key) -> None:
         """Continue with the same guards in other states of controllers."""

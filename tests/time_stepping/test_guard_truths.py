@@ -211,3 +211,26 @@ def test_steps_warn_of_a_window_just_after_a_wrap(width: float, true: bool) -> N
         assert times == ([] if passed else [pytest.approx(0.30017, abs=1.1 * (step or 1e-9))])
         warns = [w for w in run.warnings if "go is true within the step of 0.001 at t = 0.3" in w]
         assert len(warns) == passed
+
+
+@pytest.mark.parametrize("step", [None, STEP, 3.1e-4])
+@pytest.mark.parametrize(
+    "tick", ["to: b, after: 0.5", "every: 0.1", "to: b, on: c.touchdown", "every: 0.01"]
+)
+@pytest.mark.parametrize(("guard", "restitution"), [("b.y < 0", 0.0), ("b.y <= 0", 0.5)])
+def test_transitions_of_another_region_turn_no_reversed_guard_true(
+    guard: str, restitution: float, tick: str, step: float | None
+) -> None:
+    """The ball lands at 0.44759: it then rests at 0, or rises until 0.895."""
+    text = BALL.replace("y: 0.45", "y: 1.0017").replace("E}", f"{restitution}}}")
+    text = text.replace("GUARD", guard).replace(
+        "stop:",
+        "  s: {initial: a, states: {a: {}, b: {}}, transitions: [{name: tick, from: a, TICK}]}\n"
+        "stop:".replace("TICK", tick),
+    )
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+    run = statechart.run(read_text(text), **setting)
+    causes = [jump.cause for jump in run.trace.jumps]
+    assert causes.count("touchdown") == 1
+    assert "go" not in causes
+    assert any("r.go reaches its boundary" in w for w in run.warnings)
