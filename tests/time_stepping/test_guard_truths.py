@@ -234,3 +234,24 @@ def test_transitions_of_another_region_turn_no_reversed_guard_true(
     assert causes.count("touchdown") == 1
     assert "go" not in causes
     assert any("r.go reaches its boundary" in w for w in run.warnings)
+
+
+@pytest.mark.parametrize("step", [None, STEP])
+@pytest.mark.parametrize("tick", ["to: b, after: 0.448", "every: 0.001"])
+@pytest.mark.parametrize("stops", [False, True])
+def test_a_bound_waits_for_an_impact_across_transitions(
+    stops: bool, tick: str, step: float | None
+) -> None:
+    """The ball touches at 0.44759, and is struck by steps after 0.448."""
+    text = BALL.replace("y: 0.45", "y: 1.0017").replace("E}", "0.5}")
+    text = text.replace("GUARD", "time > 9" if stops else "b.y <= 0")
+    ticks = f"[{{name: tick, from: a, {tick}}}]"
+    region = f"  s: {{initial: a, states: {{a: {{}}, b: {{}}}}, transitions: {ticks}}}\n"
+    text = text.replace("stop:", f"{region}stop:")
+    if stops:
+        text = text.replace("0.6}", "0.6, conditions: {go: b.y <= 0}}")
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+    jumps = statechart.run(read_text(text), **setting).trace.jumps
+    assert {jump.cause for jump in jumps} <= {"touchdown", "tick"}
+    if "after" in tick:
+        assert [j.t for j in jumps if j.cause == "tick"] == [pytest.approx(0.448, abs=1e-9)]
