@@ -255,7 +255,8 @@ def check_closing(
 ) -> None:
     """Raise `NoConsistentMode` if a joint closes apart or beyond its limits, or is redundant.
 
-    The allowed distance is `gap_tolerance` plus the motion during `time_error`, to second order.
+    The allowed distance is `gap_tolerance` plus the motion during `time_error`, to second order. A
+    limit that is exceeded by more than `gap_tolerance` would stay off.
     """
     reduction = snapshot.reduction
     assert reduction is not None
@@ -269,11 +270,11 @@ def check_closing(
             "rest: captured, or enable it where they meet"
         )
     for name, contact in zip(mechanics.scene.contacts, snapshot.contacts, strict=False):
-        allowed = gap_tolerance + time_error * abs(contact.gap_rate)
-        if name in limit_contacts(joint) and -contact.gap > allowed:
+        if name in limit_contacts(joint) and -contact.gap > gap_tolerance:
+            sooner = ", or take shorter steps" if time_error > 0.0 else ""
             raise NoConsistentMode(
                 f"joint {joint!r} closes while its angle is beyond its limits; let enabled hold "
-                "within them"
+                f"within them{sooner}"
             )
     names = np.array([row.joint for row in mechanics.joint_rows])[~reduction.joints.redundant]
     spare = dependent_rows(reduction.joints.jacobian[~reduction.joints.redundant])

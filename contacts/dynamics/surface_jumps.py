@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -27,8 +29,8 @@ def modes_after_jump(
     mode: Key,
     before: Array,
     after: Array,
-) -> tuple[Key, Bools]:
-    """Return the modes of the contacts after a jump, and which rigid ones (c,) separate in it.
+) -> tuple[Key, Bools, Bools]:
+    """Return the modes of the contacts after a jump, and which (c,) separate, or are struck, in it.
 
     `before` and `after` (c, 3) are gaps, gap rates and slips. Contacts that no longer hold open,
     and are classified next: a surface that approaches strikes, one that departs leaves the contact
@@ -45,6 +47,8 @@ def modes_after_jump(
         [not law.coupling and scene.contacts[law.name].stiffness is None for law in laws], np.bool_
     )
     separates, modes = rigid & (gap_jumps | rate_jumps), list(mode)
+    closed = np.array([state not in OPEN for state in mode], np.bool_)
+    strikes = separates & closed & (after[:, 0] <= near) & (after[:, 1] < -slow)
     for i, (law, state) in enumerate(zip(laws, mode, strict=True)):
         gap, slip = float(after[i, 0]), float(after[i, 2])
         if rigid[i] and state != OFF and gap < min(float(before[i, 0]), 0.0) - near:
@@ -61,15 +65,17 @@ def modes_after_jump(
                 f"the velocity of surface {surface!r} jumps, and {law.name!r} would "
                 f"be {modes[i]}, which is not among its modes; add it, or let the velocity flow"
             )
-    return tuple(modes), separates
+    return tuple(modes), separates, strikes
 
 
 def modes_after_change(
-    scene: Scene, setup: SceneSetup, mode: Key, tape: SnapshotTape, before: Array, at: StateAndTime
-) -> Key:
-    """Return the modes of the contacts after a change of parameters from the values `before` (p,).
+    scene: Scene, setup: SceneSetup, mode: Key, tape: SnapshotTape, conditions: Conditions,
+    before: Array, at: StateAndTime,
+) -> tuple[Key, Bools, Bools]:  # fmt: skip
+    """Return `modes_after_jump` for a change of parameters from the values `before` (p,).
 
-    Raises `NoConsistentMode` as `modes_after_jump`, and if a closed joint opens.
+    A contact that the new values switch off separates, wherever its surface moves, and keeps its
+    mode. Raises `NoConsistentMode` as that, and if a closed joint opens.
     """
     old, new = (tape.at(values, *at) for values in (before, setup.values))
     if old.reduction is not None and new.reduction is not None:
@@ -81,11 +87,20 @@ def modes_after_change(
             if len(opens):
                 joint = tape.joint_names[opens[0]].partition(".")[0]
                 raise NoConsistentMode(
-                    f"the new values of parameters let the {what} that joint {joint!r} holds jump "
-                    f"by {abs(jumps[opens[0]]):.3g}; let a variable of a controller flow there"
+                    f"the new values of parameters let the {what} that joint {joint!r} holds "
+                    "jump; let a variable of a controller flow there"
                 )
     numbers = (np.array([c[:3] for c in one.contacts]).reshape(-1, 3) for one in (old, new))
-    return modes_after_jump(scene, setup.contacts, setup.tolerances, mode, *numbers)[0]
+    failed, fails = (
+        np.array([*map(bool, conditions.at(s, *at).failing())], np.bool_)
+        for s in (replace(setup, values=before), setup)
+    )
+    ends = fails & ~failed
+    compared = tuple(np.where(ends, OFF, mode).tolist())
+    after, separates, strikes = modes_after_jump(
+        scene, setup.contacts, setup.tolerances, compared, *numbers
+    )
+    return tuple(np.where(ends, mode, after).tolist()), separates | ends, strikes
 
 
 def flow_after_move(flow: Flow, mode: Key) -> Flow:
@@ -103,5 +118,6 @@ def _displacement_error(scene: Scene, contact: str, depth: float) -> NoConsisten
     elif isinstance(surface, Stop):
         problem = f"limit {contact!r} jumps past the angle of its joint"
     return NoConsistentMode(
-        f"{problem}; write a path that moves there in a time, or let a variable flow"
+        f"{problem}; set its velocity instead, by a path such as v*(time - t0), or by a variable "
+        "that flows"
     )

@@ -21,7 +21,7 @@ from contacts.dynamics.snapshot import close_compliant
 from contacts.dynamics.surface_jumps import flow_after_move, modes_after_jump
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
-from contacts.states import CLOSED, OPEN
+from contacts.states import CLOSED, OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -29,7 +29,13 @@ from statechart.automaton.laws import Flow, JumpResult, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Region, active_in
 from statechart.automaton.trace import Jump, Key, Roles
-from statechart.charts.guard_watch import EventQueues, GuardTruths, transition_outcomes
+from statechart.charts.flatten import Updates
+from statechart.charts.guard_watch import (
+    EventQueues,
+    GuardTruths,
+    restart_periods,
+    transition_outcomes,
+)
 
 
 class ControlledLaws:
@@ -122,7 +128,7 @@ class ControlledLaws:
                 np.array([contact[:3] for contact in update.contacts]).reshape(-1, 3)
                 for update in (before_update, after_update)
             )
-            contacts, _ = modes_after_jump(
+            contacts, _, _ = modes_after_jump(
                 self._mechanics.scene, inner.contacts, inner.tolerances, contacts, *rates
             )
         jump = at.jump(
@@ -144,13 +150,32 @@ class ControlledLaws:
 
     def change(self, at: SceneInstant, before: SceneSetup) -> tuple[Jump | None, Flow]:
         """Return the jump and the flow at a change of parameters, which may move surfaces."""
+
+        def updated(
+            setup: SceneSetup, name: str, blocks: tuple[Updates, ...], state: Array
+        ) -> Array:
+            return self._states.updated(setup, at.clock, name, blocks, state)
+
+        start = restart_periods(self._controllers, updated, (before, at.setup), at.state)
+        at = at._replace(state=start)
         controllers = at.flow.mode[self._count :]
         old, new = (self._within(setup, controllers) for setup in (before, at.setup))
         inner = at._replace(setup=new, flow=self._parted(at.flow))
-        jump, flow = self._at(controllers).change(inner, old)
+        jump, flow = self._at(self._without_opening(at)).change(inner, old)
         if jump is None:
-            return None, at.flow._replace(values=flow.values)
-        return self._joined_jump(at, jump, flow, controllers)
+            joined = self._joined(at.setup, at.clock, flow, controllers, start, at.flow)
+        else:
+            jump, joined = self._joined_jump(at, jump, flow, controllers)
+        return jump, joined._replace(start=start)
+
+    def _without_opening(self, at: SceneInstant) -> Key:
+        """Return the states of the controllers, with those joints off that open now."""
+        states = at.flow.mode[self._count :]
+        truths = self._guard_truths(at)[0] if self._states.joints else None
+        due = frozenset() if truths is None else truths.due()
+        opens = {self._states.names[place] for place, _ in due} & self._states.joints
+        named = zip(self._states.names, states, strict=True)
+        return tuple(OFF if name in opens and state == CLOSED else state for name, state in named)
 
     def _closed(
         self, at: SceneInstant, joint: str, cause: str, states: Key, state: Array

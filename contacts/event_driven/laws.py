@@ -300,16 +300,19 @@ class SceneLaws:
             values[offsets] = flow.values[offsets]
             flow = flow._replace(values=values)
         here = at.state, at.clock.high
-        target = modes_after_change(
-            self._mechanics.scene, setup, flow.mode, self.tape, before.values, here
-        )
-        if target == flow.mode:
-            return None, flow
+        target, _, strikes = modes_after_change(
+            self._mechanics.scene, setup, flow.mode, self.tape, self.conditions,
+            before.values, here,
+        )  # fmt: skip
+        # A contact that its surface strikes lifts off at most after its touchdown, which follows.
+        modes = zip(flow.mode, target, strikes.tolist(), strict=True)
+        shown = tuple(old if struck else new for old, new, struck in modes)
+        following = flow if target == flow.mode else flow_after_move(flow, target)
+        if shown == flow.mode:
+            return None, following
         energy = self.tape.at(setup.values, *here).energy
-        jump = at.jump(
-            *cause(self._names, flow.mode, target, False), target, energy=(energy, energy)
-        )
-        return jump, flow_after_move(flow, target)
+        event = cause(self._names, flow.mode, shown, False)
+        return at.jump(*event, target, energy=(energy, energy)), following
 
     def close(self, at: SceneInstant, joint: str, cause: str) -> tuple[Jump, Flow]:
         """Close a joint: its points stop, and so do contacts that are closed, without rebound.

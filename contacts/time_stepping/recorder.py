@@ -167,20 +167,24 @@ class Recorder:
         before, after = states
         if np.any((before != after)[: 2 * self.coordinates]):
             self._last = None
-        self.row, self._raw = self.row.copy(), self._raw.copy()
-        for i, code in moved.items():
-            self.row[i] = self._raw[i] = code
-        target = (*self._key(self.row)[: len(self.row)], *controls)
+        source, was, self.controls = self.key, self.controls, controls
+        self.move(moved)
         jump = Jump(
-            self.clock.high, self.count, region, cause, self.key, target, *states, fired,
+            self.clock.high, self.count, region, cause, source, self.key, *states, fired,
             impulse=impulse, joint_impulse=joint_impulse,
         )  # fmt: skip
         self._note(jump)
         self.control_jumps.append(
-            replace(jump, j=len(self.control_jumps), source=self.controls, target=controls)
+            replace(jump, j=len(self.control_jumps), source=was, target=controls)
         )
-        self.controls, self.key = controls, target
         return jump
+
+    def move(self, moved: Mapping[int, int]) -> None:
+        """Set modes of regions without a jump."""
+        self.row, self._raw = self.row.copy(), self._raw.copy()
+        for i, code in moved.items():
+            self.row[i] = self._raw[i] = code
+        self.key = (*self._key(self.row)[: len(self.row)], *self.controls)
 
     def closing_impulse(self, before: Chunk, after: Chunk) -> dict[str, float]:
         """Return the impulses of joints in a step `after` a joint closes, beyond those `before`.

@@ -34,7 +34,6 @@ from contacts.states import (
     LOCKED,
     OFF,
     OFF_CODE,
-    OPEN,
     OPEN_CODE,
     PIN,
     RESTS,
@@ -199,16 +198,25 @@ class SteppedScene(SteppedSystem):
         self._saved = self._step_state.copy()
         self._swing = self._length = 0.0
 
-    def change(self, values: Mapping[str, float], state: Array, time: float) -> SceneSetup:
-        """Change the values of parameters at a state and time; return the setup.
+    def change(
+        self, values: Mapping[str, float], state: Array, time: float
+    ) -> tuple[SceneSetup, dict[int, int]]:
+        """Change the values of parameters at a state and time; return the setup, and open contacts.
 
-        Raises `NoConsistentMode` if a surface jumps into a point, or a joint opens.
+        These are contacts that their surface strikes, and their mode. Raises `NoConsistentMode` if
+        a surface jumps into a point, or a joint opens.
         """
         setup, tape = self._numbers.at(values, RELATIVE, stepped=True), self._tapes.snapshots
-        modes_after_change(self._source.scene, setup, self._mode, tape, self._values, (state, time))
+        mode, at = self._mode, (state, time)
+        jump = modes_after_change(
+            self._source.scene, setup, mode, tape, self._numbers.conditions, self._values, at
+        )
         self._values = setup.values
         self._use(self._source, setup.contacts)
-        return setup
+        switched, strikes = self._move(mode, *jump)
+        # Its gap and condition did not flow here from those of the last step.
+        self._step_state.contacts.last[jump[1]] = np.nan
+        return setup, {i: code for i, code in switched.items() if strikes[i]}
 
     def switch(
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
@@ -219,22 +227,29 @@ class SteppedScene(SteppedSystem):
         self._use(self._tapes.at(tuple(states.values())), contacts)
         if not was.scene.leading:
             return {}, False
-        memory, codes, mode = self._step_state.contacts, self._step_state.codes, self._mode
+        mode = self._mode
         old = was.contacts(self._values, before, time)[:, :3]
         now = self._source.contacts(self._values, after, time)[:, :3]
         tolerances = {"gap": self._near, "speed": self._still}
-        modes, parts = modes_after_jump(was.scene, contacts, tolerances, mode, old, now)
+        jump = modes_after_jump(was.scene, contacts, tolerances, mode, old, now)
+        switched, strikes = self._move(mode, *jump)
+        return switched, bool(strikes.any())
+
+    def _move(
+        self, before: Key, after: Key, separates: Bools, strikes: Bools
+    ) -> tuple[dict[int, int], Bools]:
+        """Set the modes that `modes_after_jump` returns; return the changed ones, and strikes."""
+        memory = self._step_state.contacts
         # A contact that a surface strikes or leaves does not last.
-        memory.closed[parts] = False
-        closed = np.array([one not in OPEN for one in mode], np.bool_)
+        memory.closed[separates] = False
         switched = {
             i: _CODES[new]
-            for i, (new, state) in enumerate(zip(modes, mode, strict=True))
+            for i, (new, state) in enumerate(zip(after, before, strict=True))
             if new != state
         }
         for i, code in switched.items():
-            codes[i] = memory.modes[i] = code
-        return switched, bool((closed & parts & (now[:, 1] < -self._still)).any())
+            self._step_state.codes[i] = memory.modes[i] = code
+        return switched, strikes
 
     @property
     def _mode(self) -> Key:

@@ -94,8 +94,11 @@ class RunInputs(NamedTuple):
     controls: Key  # Initial states of controllers.
     solved: Array  # (u,): unknowns at the start, NaN if unknown.
     failure: SimulationError | None = None  # Why no step can be taken.
-    # Changes values of parameters at a state and time, and returns the setup; None if unsupported.
-    change: Callable[[Mapping[str, float], Array, float], SceneSetup] | None = None
+    # Changes values of parameters at a state and time, and returns the setup, and modes of
+    # contacts that open; None if unsupported.
+    change: (
+        Callable[[Mapping[str, float], Array, float], tuple[SceneSetup, dict[int, int]]] | None
+    ) = None
 
 
 # Largest chunk, within which no signal is handled, and its target of iterations times contacts,
@@ -569,10 +572,11 @@ class Stepper(ABC):
             if changed:
                 parameters |= changed
                 try:
-                    setup = inputs.change(parameters, run.state, run.time)
+                    setup, moved = inputs.change(parameters, run.state, run.time)
                 except SimulationError as error:
                     run.end(Outcome[error.outcome], f"t = {run.time:.6g}: {error}")
                     break
+                recorder.move(moved)
                 run.stops.change(setup, run.time, run.state, run.request.step)
         recorder.close()
         yield from fresh()

@@ -260,6 +260,21 @@ class FlatRegion:
             over = f"(1 - {count})*({TIME} - {clock} - ({declared.period})) >= {count}"
         return conjunction((over,) if declared.guard is None else (over, declared.guard))
 
+    @cached_property
+    def restarts(self) -> tuple[Updates, Updates, Updates]:
+        """Periods of `every`, by clock and count; timers restarted at the last tick; due timers."""
+        timed = [
+            (self._clocks[place], count, f"({period})")
+            for place, count in self._counts.items()
+            if (period := self._tree.arrows[place].declared.every) is not None
+        ]
+        counts = {count: 0 for _, count, _ in timed}
+        return (
+            {timer: period for clock, count, period in timed for timer in (clock, count)},
+            {clock: f"{clock} + {count}*{period}" for clock, count, period in timed} | counts,
+            {clock: f"{TIME} - {period}" for clock, _, period in timed} | counts,
+        )
+
     def _entry_updates(self, node: int) -> Updates:
         began: dict[str, FiniteText] = {}
         for place, clock in self._clocks.items():

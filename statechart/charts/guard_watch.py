@@ -24,7 +24,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import sympy as sp
@@ -61,6 +61,7 @@ from statechart.kernels.tapes import tape_values
 _ZERO_MARGIN = 2.0**-40
 _TIME_ROUND_OFF = 8.0 * EPS
 _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
+_Setup = TypeVar("_Setup")
 
 
 class GuardWatch:
@@ -428,6 +429,27 @@ def check_updated(cause: str, names: Iterable[str], values: Array) -> None:
     for name, value in zip(names, values.tolist(), strict=True):
         if not math.isfinite(value):
             raise NonFinite(f"{cause} sets {name} to {value}")
+
+
+def restart_periods(
+    regions: Mapping[str, FlatRegion],
+    updated: Callable[[_Setup, str, tuple[Updates, ...], Array], Array],
+    setups: tuple[_Setup, _Setup],
+    state: Array,
+) -> Array:
+    """Return the state at a change of parameters between two setups.
+
+    A new period of `every` begins with the last tick, but ends no earlier than now. `updated`
+    returns the state after updates of a region with a setup.
+    """
+    old, new = setups
+    for name, region in regions.items():
+        periods, last, due = ((updates,) for updates in region.restarts)
+        if region.counts:
+            same = updated(old, name, periods, state) == updated(new, name, periods, state)
+            restarted = np.maximum(updated(old, name, last, state), updated(new, name, due, state))
+            state = np.where(same, state, restarted)
+    return state
 
 
 def transition_outcomes(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:

@@ -39,6 +39,7 @@ from statechart.charts.guard_watch import (
     guard_margins,
     guards,
     guards_at_events,
+    restart_periods,
     tape_with_sizes,
     transition_outcomes,
     values_after,
@@ -250,7 +251,12 @@ class ChartLaws:
 
     def change(self, at: Instant, before: Setup) -> tuple[Jump | None, Flow]:
         """Return the flow at a change of parameters, which moves no constraints."""
-        return None, at.flow
+
+        def updated(setup: Setup, name: str, blocks: tuple[Updates, ...], state: Array) -> Array:
+            return self._updated(setup, at.clock, name, blocks, state, np.abs(state))[0]
+
+        start = restart_periods(self._flat, updated, (before, at.setup), at.state)
+        return None, at.flow._replace(start=start)
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float

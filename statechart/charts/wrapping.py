@@ -117,7 +117,7 @@ def _count(region: str, function: str, value: str, period: str) -> Count:
     count, period = f"{region}.count", _factor(period)
     up, down = _EVENTS[function]
     steps = [(up, f"{value} >= ({count} + 1)*{period}", f"{count} + 1")]
-    if value != TIME:
+    if value != TIME or parse(period).names:
         steps.append((down, f"{value} < {count}*{period}", f"{count} - 1"))
     return Count(
         count,

@@ -27,7 +27,7 @@ def take_streams() -> None:
 
 
 def be_quiet() -> None:
-    """Keep warnings, logs and interrupted callbacks off stderr: reports have what matters."""
+    """Keep warnings and logs of libraries, and interrupted callbacks, off stderr."""
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)

@@ -54,7 +54,7 @@ def _units(value: Any) -> Any:
             )
         return dict(quantities.SYSTEMS[value])
     for name, unit in value.items() if isinstance(value, Mapping) else ():
-        if isinstance(unit, str) and re.match(r"[-+]?[0-9.]+ *[^\W\d]", unit):
+        if isinstance(unit, str) and re.match(r"\s*[-+]?[0-9.]+\s*[^\s\d./]", unit):
             raise DeclarationProblem(
                 f"{unit!r} is a quantity, and nothing is converted",
                 advice="write the unit alone, such as mm",

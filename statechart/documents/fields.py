@@ -185,12 +185,23 @@ class Part(BaseModel, metaclass=Documented):
         """Return the part with other values of fields, validated like a new one."""
         if update is None:
             return super().model_copy(deep=deep)
+        own = type(self).model_fields
+        if not isinstance(update, Mapping) or not all(isinstance(name, str) for name in update):
+            raise DeclarationError(
+                f"{type(self).__name__}: update must map names of fields to values, not {update!r}",
+                advice=f"write model_copy(update={{{next(iter(own), 'NAME')!r}: ...}})",
+            )
+        names = {field.alias: name for name, field in own.items()}
         fields = {name: getattr(self, name) for name in self.model_fields_set}
-        return type(self)(**{**fields, **update})
+        renamed = {names.get(name, name): value for name, value in update.items()}
+        return type(self)(**{**fields, **renamed})
 
 
 def replace_fields(part: AnyPart, **fields: Any) -> AnyPart:
-    """Return a part with other values of fields, without validation: for parts of no document."""
+    """Return a part with other values of fields, without validation.
+
+    For parts derived from validated ones; users call `model_copy`.
+    """
     own = {name: getattr(part, name) for name in type(part).model_fields}
     made = part.model_construct({*part.model_fields_set, *fields}, **{**own, **fields})
     for name in type(part).__private_attributes__:

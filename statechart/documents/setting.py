@@ -40,6 +40,15 @@ def is_real(value: object) -> bool:
     return True
 
 
+def describe_value(value: object) -> str:
+    """Return a value for a message, a number with at most seven digits."""
+    if is_real(value):
+        return f"{value:.7g}"
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"1e{math.floor(math.log10(abs(value)))}, which is too large for a float"
+    return repr(value)
+
+
 class Record(Enum):
     """Recording of a run between its start and its end.
 
@@ -122,7 +131,9 @@ class Setting:
         for what in _BOUNDS:
             value = getattr(self, what)
             if value is not None and not is_real(value):
-                raise DeclarationProblem(f"{what} must be a number, not {value!r}", loc=(what,))
+                raise DeclarationProblem(
+                    f"{what} must be a number, not {describe_value(value)}", loc=(what,)
+                )
         engine = self.engine or "auto"
         self._check_engine(engine)
         self._check_record(engine)

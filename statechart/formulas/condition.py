@@ -427,7 +427,7 @@ def _without_root(atom: Atom) -> Any:
 def _without_sign(atom: Atom) -> Any:
     """Return ``sign(u) <= 0`` as ``u <= 0``, ``sign(u)**2 <= 0`` as ``u <= 0 <= u``, else None.
 
-    A sum of such squares is at most 0 where all of them are.
+    A sum of such squares is at most 0 where all of them are, a product where one factor is.
     """
     import sympy
 
@@ -436,9 +436,12 @@ def _without_sign(atom: Atom) -> Any:
         signs = all(term.has(sympy.sign) and term.is_nonnegative for term in terms)
         return And(tuple(Atom(term, atom.strict) for term in terms)) if signs else None
     factor, power = atom.expression.as_coeff_Mul()
-    base, exponent = power.as_base_exp()
     if isinstance(power, sympy.sign):
         return Atom(factor * power.args[0], atom.strict)
-    if isinstance(base, sympy.sign) and factor.is_positive and exponent.is_even:
-        return And((Atom(base, atom.strict), Atom(-base, atom.strict)))
+    for square in sympy.Mul.make_args(atom.expression):
+        base, exponent = square.as_base_exp()
+        if isinstance(base, sympy.sign) and exponent.is_even and exponent.is_positive:
+            sides = (Atom(base, atom.strict), Atom(-base, atom.strict))
+            rest = Atom(atom.expression / square, atom.strict)
+            return And((Or(sides), rest)) if atom.strict else Or((And(sides), rest))
     return None

@@ -14,7 +14,7 @@ import numpy as np
 
 from statechart.automaton.trace import Trace
 from statechart.documents.hints import check_arguments
-from statechart.documents.setting import Record
+from statechart.documents.setting import Record, describe_value
 from statechart.engines.request import Measured
 from statechart.errors import StatechartError, close_matches
 from statechart.observation.grazes import graze_warnings, grazes
@@ -202,7 +202,8 @@ class Result:
         """
         if not 0.0 <= t <= self.trace.t_end:
             raise StatechartError(
-                f"t = {t:.7g} is outside the run, which is from 0 to {self.trace.t_end:.7g}"
+                f"t must be in the run, which is from 0 to {self.trace.t_end:.7g}, "
+                f"not {describe_value(t)}"
             )
         found = self.observer.sample(self.trace, times=[t])
         states = dict(zip(self.trace.regions, found.modes[found.mode[0]], strict=True))

@@ -15,7 +15,7 @@ from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.hints import check_arguments, unknown_parameter
-from statechart.documents.setting import Record, Setting, SettingWords, is_real
+from statechart.documents.setting import Record, Setting, SettingWords, describe_value, is_real
 from statechart.documents.settings import LATE_END
 from statechart.documents.validation import Document, located
 from statechart.engines.engine import TimeBudget
@@ -426,7 +426,7 @@ class RunInputs:
                 )
             if not is_real(value):
                 raise DeclarationError(
-                    f"parameter {name!r} must be a number, not {value!r}",
+                    f"parameter {name!r} must be a number, not {describe_value(value)}",
                     advice=f"a formula is for with_({name}=...) of the model",
                 )
             if math.isnan(value):
@@ -451,9 +451,8 @@ class RunInputs:
         self.check(overrides)
         if until is not None:
             if not is_real(until) or not 0.0 <= until < math.inf:
-                value = f"{until:g}" if is_real(until) else repr(until)
                 raise DeclarationError(
-                    f"the end must be a finite time from 0 on, not {value}",
+                    f"the end must be a finite time from 0 on, not {describe_value(until)}",
                     advice=LATE_END if until == math.inf else "",
                 )
             return until
@@ -474,9 +473,8 @@ class RunInputs:
     def sampling(self, every: float, end: float, control: Control | None) -> Sampling:
         """Return the sampling of a stream; see `Runner.stream`."""
         if not is_real(every) or not every > 0.0 or (control is not None and every == math.inf):
-            value = f"{every:g}" if is_real(every) else repr(every)
             raise DeclarationError(
-                f"every must be a finite time above 0, not {value}",
+                f"every must be a finite time above 0, not {describe_value(every)}",
                 advice="give the sampling period of control, such as every=0.01",
             )
         if control is not None and not callable(control):

@@ -187,8 +187,7 @@ def run_plan(
         raise DeclarationError("there is no store to resume", advice="give its path")
     if executor is not None and not hasattr(executor, "submit"):
         raise DeclarationError(
-            f"executor must be one of concurrent.futures, not {executor!r}",
-            advice="such as ProcessPoolExecutor(4)",
+            f"executor must be an executor, such as ProcessPoolExecutor(4), not {executor!r}"
         )
     with nullcontext(lambda: None) if store is None else lock_folder(Path(store)) as check_lock:
         kept = Store(plan, store, resume=resume, check_lock=check_lock)

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from statechart.documents.declaration import Declaration
 from statechart.documents.fields import replace_fields
 from statechart.documents.hints import check_arguments
@@ -180,9 +182,9 @@ def check(
     >>> check("bouncing_ball_chart", examples=1, seed=1).passed
     True
     """
-    if not isinstance(examples, int) or examples < 1:
+    if not isinstance(examples, int | np.integer) or examples < 1:
         raise DeclarationError(f"examples must be a whole number from 1 on, not {examples!r}")
-    if seed is not None and (not isinstance(seed, int) or seed < 0):
+    if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
         raise DeclarationError(f"seed must be a whole number from 0 on, not {seed!r}")
     model, _ = resolve_model(model)
     subject = Subject(model)
@@ -192,7 +194,7 @@ def check(
     properties = (*generic(subject), *(of_kind(model) if of_kind else ()))
     if seed is None:
         seed = random.SystemRandom().randrange(2**32)
-    return examine(subject, properties, examples=examples, seed=seed, progress=progress)
+    return examine(subject, properties, examples=int(examples), seed=int(seed), progress=progress)
 
 
 def examine(

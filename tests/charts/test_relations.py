@@ -9,7 +9,7 @@ import pytest
 import statechart
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, NonFinite
 from statechart.loading.load import interpret
 
 ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy"])
@@ -277,6 +277,19 @@ def test_a_mistake_in_a_list_of_relations_has_the_place_of_its_item(field, wrong
     assert caught.value.column == len("            - ") + column
 
 
+INSTANT = """
+kind: chart
+name: instant
+variables: {x: 0, y: 0}
+regions:
+  r:
+    initial: waits
+    states: {waits: {flows: {x: 1, y: 2}}, done: {}}
+    transitions: [{name: t, from: waits, to: done, guard: "GUARD"}]
+stop: {time: 1}
+"""
+
+
 @ENGINES
 @pytest.mark.parametrize(
     ("guard", "time"),
@@ -288,19 +301,21 @@ def test_a_mistake_in_a_list_of_relations_has_the_place_of_its_item(field, wrong
         ("sign(x - 0.5)**2 < 0", None),
         ("sign(x - 0.5)**2 + 3*sign(y - 1)**2 <= 0", 0.5),
         ("sign(x - 0.5)**2 + 3*sign(y - 1.1)**2 <= 0", None),
+        ("sign(x - 0.5)**2*sign(y - 1.1)**2 <= 0", 0.5),
+        ("(x + 1)*sign(x - 0.5)**2 <= 0", 0.5),
+        ("(0.7 - x)*sign(x - 0.5)**2 < 0", 0.7),
+        ("-sign(x - 0.5)**2 >= 0", 0.5),
+        ("-sign(x - 0.5)**2 < 0", 0.0),
     ],
 )
 def test_guard_that_signs_make_true_at_one_instant_fires_there(guard, time, engine):
-    text = f"""\
-kind: chart
-name: instant
-variables: {{x: 0, y: 0}}
-regions:
-  r:
-    initial: waits
-    states: {{waits: {{flows: {{x: 1, y: 2}}}}, done: {{}}}}
-    transitions: [{{name: t, from: waits, to: done, guard: "{guard}"}}]
-stop: {{time: 1}}
-"""
-    jumps = statechart.run(interpret(read_text(text)), engine=engine).trace.jumps
+    model = interpret(read_text(INSTANT.replace("GUARD", guard)))
+    jumps = statechart.run(model, engine=engine).trace.jumps
     assert [jump.t for jump in jumps] == pytest.approx([] if time is None else [time], abs=1e-14)
+
+
+@ENGINES
+def test_reciprocal_of_a_square_of_a_sign_has_no_value_where_the_sign_changes(engine):
+    model = interpret(read_text(INSTANT.replace("GUARD", "1/sign(x - 0.5)**2 <= 0")))
+    with pytest.raises(NonFinite, match=r"guard r.t has no value near t = 0.5;"):
+        statechart.run(model, engine=engine)

@@ -720,3 +720,27 @@ stop: {{time: 1}}
     assert trace.t_end == pytest.approx(0.5, abs=1e-9)
     trace = statechart.run(read_text(text.replace("MOST", "0.7")), **setting).trace
     assert trace.final[2] == pytest.approx(0.7, abs=1e-3)
+
+
+@pytest.mark.parametrize("most", [0.5005, 0.503, 0.5039])
+def test_a_joint_that_a_step_closes_beyond_its_limit_does_not_leave_the_limit_off(
+    most: float,
+) -> None:
+    """The angle is 7 t: it passes 0.5 within a step, whose end is at 0.504."""
+    text = f"""
+kind: scene
+name: arm
+bodies: {{arm: {{mass: 2, inertia: 0.1, start: {{dangle: 7}}}}}}
+joints:
+  hinge: {{point: {{body: arm}}, to: [0, 0], limits: [-1, {most}], enabled: arm.angle >= 0.5}}
+stop: {{time: 1}}
+"""
+    steps: dict[str, Any] = {"engine": "impulse", "throw": False}
+    assert statechart.run(read_text(text)).trace.final[2] == pytest.approx(most, abs=1e-9)
+    trace = statechart.run(read_text(text), step=1e-3, **steps).trace
+    assert trace.outcome.name == "NO_CONSISTENT_MODE"
+    assert "joint 'hinge' closes while its angle is beyond its limits" in str(trace.message)
+    assert str(trace.message).endswith(", or take shorter steps")
+    assert trace.t_end == pytest.approx(0.072, abs=1e-9)
+    trace = statechart.run(read_text(text), step=1e-5, **steps).trace
+    assert trace.final[2] == pytest.approx(most, abs=1e-4)

@@ -48,7 +48,7 @@ def test_reading_contains_mode_and_state(result):
 
 @pytest.mark.parametrize("t", [-1.0, 6.0, np.nan, np.inf])
 def test_an_instant_outside_the_run_is_refused(result, t):
-    with pytest.raises(StatechartError, match="outside the run, which is from 0 to"):
+    with pytest.raises(StatechartError, match="in the run, which is from 0 to"):
         result.at(t)
 
 

@@ -136,6 +136,60 @@ def test_invalid_values_of_a_control_are_reported_with_their_place() -> None:
         list(pieces)
 
 
+WRAPPED = """\
+kind: chart
+name: wrapped
+parameters: {T: 0.2}
+variables: {x: 0}
+regions: {phase: {initial: runs, states: {runs: {flows: {x: "mod(time, T)"}}}}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("period", [0.3, 0.1])
+def test_a_new_period_wraps_time_anew(period: float) -> None:
+    control = lambda sample: {"T": period} if sample.t == pytest.approx(0.5) else None  # noqa: E731
+    pieces = [*Runner(read_text(WRAPPED), engine="taylor").stream(every=0.5, control=control)]
+    ends = [piece.coefficients[-1].sum(axis=1)[0] for piece in pieces if isinstance(piece, Arc)]
+    integral = lambda t, T: (t // T) * T * T / 2 + (t % T) ** 2 / 2  # noqa: E731
+    before = integral(0.5, 0.2)
+    after = integral(1.0 + 1e-12, period) - integral(0.5 + 1e-12, period)
+    assert ends[-1] == pytest.approx(before + after, abs=1e-9)
+
+
+TICKS = """\
+kind: chart
+name: ticks
+parameters: {T: 0.3, x: 0}
+regions:
+  r: {initial: on, states: {on: {}}, transitions: [{name: tick, from: on, every: T}]}
+stop: {time: 2}
+"""
+SAMPLED = TICKS.replace("chart", "scene") + "bodies: {b: {mass: 1, start: {dx: 1}}}\n"
+
+
+@pytest.mark.parametrize("text", [TICKS, SAMPLED])
+@pytest.mark.parametrize(
+    ("period", "values", "ticks"),
+    [
+        ("0.3", {"x": 1}, [0.3, 0.6, 0.9, 1.2, 1.5, 1.8]),
+        ("0.3", {"T": 0.5}, [0.3, 0.6, 0.9, 1.4, 1.9]),
+        ("0.3", {"T": 0.25}, [0.3, 0.6, 0.9, 1.15, 1.4, 1.65, 1.9]),
+        # The last tick is longer ago than a new period.
+        ("0.7", {"T": 0.2}, [0.7, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0]),
+        ("10", {"T": 0.01}, [1.0 + 0.01 * k for k in range(101)]),
+    ],
+)
+def test_a_new_period_counts_from_the_last_tick(
+    text: str, period: str, values: Mapping[str, float], ticks: list[float]
+) -> None:
+    runner = Runner(read_text(text.replace("T: 0.3", f"T: {period}")), engine="taylor")
+    control = lambda sample: values if sample.t == pytest.approx(1.0) else None  # noqa: E731
+    pieces = runner.stream(every=1.0, until=2.001, control=control)
+    at = [piece.t for piece in pieces if isinstance(piece, Jump)]
+    assert at == pytest.approx(ticks, abs=1e-12)
+
+
 SURFACES = """\
 kind: scene
 name: surfaces
@@ -197,13 +251,93 @@ def test_new_values_of_parameters_move_surfaces_but_no_bodies(engine: Mapping[st
     ("text", "values", "message"),
     [
         (SURFACES, {"h": 0.1}, "surface 'belt' jumps 0.1 deep|rope 'rope' jumps to 0.05 below"),
-        (HINGE, {"place": 0.3}, "position that joint 'pivot' holds jump by 0.3"),
-        (HINGE, {"w": 0.3}, "velocity that joint 'pivot' holds jump by 0.3"),
-        (HINGE, {"place": -1.3}, "joint 'pivot' holds jump by 1.3"),
+        (HINGE, {"place": 0.3}, "position that joint 'pivot' holds jump;"),
+        (HINGE, {"w": 0.3}, "velocity that joint 'pivot' holds jump;"),
+        (HINGE, {"place": -1.3}, "position that joint 'pivot' holds jump;"),
     ],
 )
 def test_new_values_that_break_a_constraint_end_the_run(
     text: str, values: Mapping[str, float], message: str, engine: Mapping[str, object]
 ) -> None:
-    with pytest.raises(NoConsistentMode, match=message):
+    with pytest.raises(NoConsistentMode, match=rf"t = 0\.5: .*({message})"):
         changed(text, values, engine)
+
+
+LIFT = """\
+kind: scene
+name: lift
+parameters: {v: 0}
+gravity: 10
+bodies:
+  box: {mass: 1}
+  load: {mass: 1, start: {y: 1}}
+surfaces: {plate: {height: 0, displacement: [0, v*(time - 0.5)]}}
+joints: {rope: {point: {body: load}, to: [0, 2], rope: 1 - v*(time - 0.5), restitution: E}}
+contacts: {base: {point: {body: box}, surface: plate, friction: 0.5, restitution: E}}
+stop: {time: 0.53}
+"""
+ALARM = """\
+regions:
+  alarm: {initial: quiet, states: {quiet: {}, rings: {}},
+          transitions: [{name: ring, from: quiet, to: rings, on: base.liftoff or rope.liftoff}]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("engine", "regions"), [*((e, "") for e in ENGINES), *((e, ALARM) for e in ENGINES[:2])]
+)
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_new_values_set_surfaces_and_ropes_in_motion(
+    e: float, engine: Mapping[str, object], regions: str
+) -> None:
+    # They strike at once: box and load start with (1 + e) v.
+    pieces = changed(LIFT.replace("E", f"{e}") + regions, {"v": 0.5}, engine)
+    near = 11 * float(str(engine.get("step", 1e-10)))
+    jumps = [piece for piece in pieces if isinstance(piece, Jump)]
+    assert [jump.cause for jump in jumps] == ["touchdown"]
+    assert jumps[0].t == pytest.approx(0.5, abs=near)
+    motion = [0.018, 0.45] if e else [0.015, 0.5]
+    last = [piece for piece in pieces if isinstance(piece, Arc)][-1]
+    for body, height in ((1, 0.0), (3, 1.0)):
+        state = last.coefficients[-1].sum(axis=1)[[body, body + 4]] - [height, 0.0]
+        assert state == pytest.approx(motion, abs=near)
+
+
+SWITCHED = """\
+kind: scene
+name: switched
+parameters: {p: 0}
+gravity: 10
+bodies: {box: {mass: 1}}
+surfaces: {plate: {height: p}}
+contacts:
+  base: {point: {body: box}, surface: plate, friction: 0.5, restitution: 0, enabled: p < 0.1}
+stop: {time: 1}
+"""
+HELD = """\
+kind: scene
+name: held
+parameters: {p: 0}
+gravity: 10
+bodies: {box: {mass: 1}}
+joints: {pin: {point: {body: box}, to: ["p + p*(time - 0.5)", 0], enabled: p < 0.1}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "engine"), [*((SWITCHED, e) for e in ENGINES), *((HELD, e) for e in ENGINES[:2])]
+)
+@pytest.mark.parametrize("p", [0.3, 0.05])
+def test_constraints_that_new_values_switch_off_may_move(
+    text: str, p: float, engine: Mapping[str, object]
+) -> None:
+    if p < 0.1:
+        with pytest.raises(NoConsistentMode, match=r"jumps 0.05 deep|holds jump"):
+            changed(text, {"p": p}, engine)
+        return
+    pieces = changed(text, {"p": p}, engine)
+    assert [(j.t, j.cause) for j in pieces if isinstance(j, Jump)] == [(0.5, "disable")]
+    last = [piece for piece in pieces if isinstance(piece, Arc)][-1]
+    fallen = last.coefficients[-1].sum(axis=1)[[1, 3]]
+    assert fallen == pytest.approx([-10 * 0.5**2 / 2, -5.0], abs=1e-9)

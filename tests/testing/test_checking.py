@@ -184,9 +184,10 @@ stop: {time: 0.5}
 
 
 def test_a_good_chart_passes_every_property():
-    report = check(model(BALL), examples=6, seed=1)
+    report = check(model(BALL), examples=np.int64(6), seed=np.int64(1))
     assert report.passed, report.text()
     assert not any(result.skipped for result in report.properties)
+    assert json.loads(json.dumps(report.to_json()))["seed"] == 1
 
 
 def test_a_good_scene_passes_every_property():
