@@ -20,6 +20,7 @@ from statechart.documents.hints import (
     sections_with_key,
     word_elsewhere,
 )
+from statechart.documents.setting import describe_value, is_real
 from statechart.documents.yaml_text import flow
 from statechart.errors import (
     MAX_PROBLEMS,
@@ -288,6 +289,8 @@ def _message_and_advice(
     shown = {"dict": "a mapping", "list": "a list", "None": "nothing"}.get(shown, shown)
     if isinstance(value, bool) and not built:
         shown = flow(value)
+    elif isinstance(value, int) and not is_real(value):
+        shown = describe_value(value)
     if isinstance(value, type):
         brackets = "()" if kind == "union_tag_not_found" else "(...)"
         name = value.__name__

@@ -12,6 +12,7 @@ from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Shape, Slide
 from statechart import (
     Region,
     Result,
+    Settings,
     Stop,
     Value,
     check,
@@ -92,6 +93,10 @@ def scene(**changes: object) -> Scene:
         (
             lambda: run(scene(), tolerance=10**400),
             "tolerance must be a number, not 1e400, which is too large",
+        ),
+        (
+            lambda: Settings(step=-(10**400)),
+            "Settings: step: must be a number, not -1e400, which is too large for a float; such as",
         ),
         (lambda: Stop(time=10**400), "formula '1e400': the number is too large for a float"),
         (lambda: run(scene()).at(np.ones(2)), "Result.at: t must be a number, not array([1., 1.])"),
