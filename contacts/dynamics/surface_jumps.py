@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -67,11 +69,13 @@ def modes_after_jump(
 
 
 def modes_after_change(
-    scene: Scene, setup: SceneSetup, mode: Key, tape: SnapshotTape, before: Array, at: StateAndTime
-) -> tuple[Key, Bools, Bools]:
+    scene: Scene, setup: SceneSetup, mode: Key, tape: SnapshotTape, conditions: Conditions,
+    before: Array, at: StateAndTime,
+) -> tuple[Key, Bools, Bools]:  # fmt: skip
     """Return `modes_after_jump` for a change of parameters from the values `before` (p,).
 
-    Raises `NoConsistentMode` as that, and if a closed joint opens.
+    A contact that the new values switch off separates, wherever its surface moves, and keeps its
+    mode. Raises `NoConsistentMode` as that, and if a closed joint opens.
     """
     old, new = (tape.at(values, *at) for values in (before, setup.values))
     if old.reduction is not None and new.reduction is not None:
@@ -83,11 +87,20 @@ def modes_after_change(
             if len(opens):
                 joint = tape.joint_names[opens[0]].partition(".")[0]
                 raise NoConsistentMode(
-                    f"the new values of parameters let the {what} that joint {joint!r} holds jump "
-                    f"by {abs(jumps[opens[0]]):.3g}; let a variable of a controller flow there"
+                    f"the new values of parameters let the {what} that joint {joint!r} holds "
+                    "jump; let a variable of a controller flow there"
                 )
     numbers = (np.array([c[:3] for c in one.contacts]).reshape(-1, 3) for one in (old, new))
-    return modes_after_jump(scene, setup.contacts, setup.tolerances, mode, *numbers)
+    failed, fails = (
+        np.array([*map(bool, conditions.at(s, *at).failing())], np.bool_)
+        for s in (replace(setup, values=before), setup)
+    )
+    ends = fails & ~failed
+    compared = tuple(np.where(ends, OFF, mode).tolist())
+    after, separates, strikes = modes_after_jump(
+        scene, setup.contacts, setup.tolerances, compared, *numbers
+    )
+    return tuple(np.where(ends, mode, after).tolist()), separates | ends, strikes
 
 
 def flow_after_move(flow: Flow, mode: Key) -> Flow:
@@ -105,5 +118,6 @@ def _displacement_error(scene: Scene, contact: str, depth: float) -> NoConsisten
     elif isinstance(surface, Stop):
         problem = f"limit {contact!r} jumps past the angle of its joint"
     return NoConsistentMode(
-        f"{problem}; write a path that moves there in a time, or let a variable flow"
+        f"{problem}; set its velocity instead, by a path such as v*(time - t0), or by a variable "
+        "that flows"
     )

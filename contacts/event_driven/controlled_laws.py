@@ -21,7 +21,7 @@ from contacts.dynamics.snapshot import close_compliant
 from contacts.dynamics.surface_jumps import flow_after_move, modes_after_jump
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.candidates import Case, candidates
-from contacts.states import CLOSED, OPEN
+from contacts.states import CLOSED, OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -161,12 +161,21 @@ class ControlledLaws:
         controllers = at.flow.mode[self._count :]
         old, new = (self._within(setup, controllers) for setup in (before, at.setup))
         inner = at._replace(setup=new, flow=self._parted(at.flow))
-        jump, flow = self._at(controllers).change(inner, old)
+        jump, flow = self._at(self._without_opening(at)).change(inner, old)
         if jump is None:
             joined = self._joined(at.setup, at.clock, flow, controllers, start, at.flow)
         else:
             jump, joined = self._joined_jump(at, jump, flow, controllers)
         return jump, joined._replace(start=start)
+
+    def _without_opening(self, at: SceneInstant) -> Key:
+        """Return the states of the controllers, with those joints off that open now."""
+        states = at.flow.mode[self._count :]
+        truths = self._guard_truths(at)[0] if self._states.joints else None
+        due = frozenset() if truths is None else truths.due()
+        opens = {self._states.names[place] for place, _ in due} & self._states.joints
+        named = zip(self._states.names, states, strict=True)
+        return tuple(OFF if name in opens and state == CLOSED else state for name, state in named)
 
     def _closed(
         self, at: SceneInstant, joint: str, cause: str, states: Key, state: Array

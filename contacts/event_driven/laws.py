@@ -301,8 +301,9 @@ class SceneLaws:
             flow = flow._replace(values=values)
         here = at.state, at.clock.high
         target, _, strikes = modes_after_change(
-            self._mechanics.scene, setup, flow.mode, self.tape, before.values, here
-        )
+            self._mechanics.scene, setup, flow.mode, self.tape, self.conditions,
+            before.values, here,
+        )  # fmt: skip
         # A contact that its surface strikes lifts off at most after its touchdown, which follows.
         modes = zip(flow.mode, target, strikes.tolist(), strict=True)
         shown = tuple(old if struck else new for old, new, struck in modes)

@@ -208,10 +208,14 @@ class SteppedScene(SteppedSystem):
         """
         setup, tape = self._numbers.at(values, RELATIVE, stepped=True), self._tapes.snapshots
         mode, at = self._mode, (state, time)
-        jump = modes_after_change(self._source.scene, setup, mode, tape, self._values, at)
+        jump = modes_after_change(
+            self._source.scene, setup, mode, tape, self._numbers.conditions, self._values, at
+        )
         self._values = setup.values
         self._use(self._source, setup.contacts)
         switched, strikes = self._move(mode, *jump)
+        # Its gap and condition did not flow here from those of the last step.
+        self._step_state.contacts.last[jump[1]] = np.nan
         return setup, {i: code for i, code in switched.items() if strikes[i]}
 
     def switch(

@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 
 from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Shape, Slide, Surface
-from statechart import Result, Stop, Value, check, equations, graph, load, run, sweep, trade
+from statechart import (
+    Region,
+    Result,
+    Stop,
+    Value,
+    check,
+    equations,
+    graph,
+    load,
+    run,
+    sweep,
+    trade,
+)
 from statechart.charts.transitions import Transition
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
@@ -42,6 +54,10 @@ def scene(**changes: object) -> Scene:
         (
             lambda: Contact(point=Point(body="a"), surface="b", friction=1, modes=(Slide, Pin)),
             "Contact: modes.0: must be built, not the class Slide; write Slide()",
+        ),
+        (
+            lambda: Contact(point=Point(body="a"), surface="b", friction=1, modes=Slide()),
+            "Contact: modes: must be a list, not Slide; such as ['slide', 'pin']",
         ),
         (
             lambda: scene(
@@ -224,6 +240,14 @@ def test_mistakes_in_python_are_reported_like_those_in_files(
         build()
     assert reported in str(caught.value)
     assert caught.value.__cause__ is None
+
+
+def test_a_part_in_the_place_of_a_list_is_one_error() -> None:
+    go = Transition(name="go", source="a", target="b", after=1)
+    with pytest.raises(DeclarationError) as caught:
+        Region(initial="a", states={"a": {}, "b": {}}, transitions=go)
+    [message] = str(caught.value).splitlines()
+    assert message.startswith("Region: transitions: must be a list, not Transition; such as [{'na")
 
 
 def test_copies_take_keys_of_documents() -> None:

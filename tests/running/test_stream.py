@@ -251,15 +251,15 @@ def test_new_values_of_parameters_move_surfaces_but_no_bodies(engine: Mapping[st
     ("text", "values", "message"),
     [
         (SURFACES, {"h": 0.1}, "surface 'belt' jumps 0.1 deep|rope 'rope' jumps to 0.05 below"),
-        (HINGE, {"place": 0.3}, "position that joint 'pivot' holds jump by 0.3"),
-        (HINGE, {"w": 0.3}, "velocity that joint 'pivot' holds jump by 0.3"),
-        (HINGE, {"place": -1.3}, "joint 'pivot' holds jump by 1.3"),
+        (HINGE, {"place": 0.3}, "position that joint 'pivot' holds jump;"),
+        (HINGE, {"w": 0.3}, "velocity that joint 'pivot' holds jump;"),
+        (HINGE, {"place": -1.3}, "position that joint 'pivot' holds jump;"),
     ],
 )
 def test_new_values_that_break_a_constraint_end_the_run(
     text: str, values: Mapping[str, float], message: str, engine: Mapping[str, object]
 ) -> None:
-    with pytest.raises(NoConsistentMode, match=message):
+    with pytest.raises(NoConsistentMode, match=rf"t = 0\.5: .*({message})"):
         changed(text, values, engine)
 
 
@@ -301,3 +301,43 @@ def test_new_values_set_surfaces_and_ropes_in_motion(
     for body, height in ((1, 0.0), (3, 1.0)):
         state = last.coefficients[-1].sum(axis=1)[[body, body + 4]] - [height, 0.0]
         assert state == pytest.approx(motion, abs=near)
+
+
+SWITCHED = """\
+kind: scene
+name: switched
+parameters: {p: 0}
+gravity: 10
+bodies: {box: {mass: 1}}
+surfaces: {plate: {height: p}}
+contacts:
+  base: {point: {body: box}, surface: plate, friction: 0.5, restitution: 0, enabled: p < 0.1}
+stop: {time: 1}
+"""
+HELD = """\
+kind: scene
+name: held
+parameters: {p: 0}
+gravity: 10
+bodies: {box: {mass: 1}}
+joints: {pin: {point: {body: box}, to: ["p + p*(time - 0.5)", 0], enabled: p < 0.1}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "engine"), [*((SWITCHED, e) for e in ENGINES), *((HELD, e) for e in ENGINES[:2])]
+)
+@pytest.mark.parametrize("p", [0.3, 0.05])
+def test_constraints_that_new_values_switch_off_may_move(
+    text: str, p: float, engine: Mapping[str, object]
+) -> None:
+    if p < 0.1:
+        with pytest.raises(NoConsistentMode, match=r"jumps 0.05 deep|holds jump"):
+            changed(text, {"p": p}, engine)
+        return
+    pieces = changed(text, {"p": p}, engine)
+    assert [(j.t, j.cause) for j in pieces if isinstance(j, Jump)] == [(0.5, "disable")]
+    last = [piece for piece in pieces if isinstance(piece, Arc)][-1]
+    fallen = last.coefficients[-1].sum(axis=1)[[1, 3]]
+    assert fallen == pytest.approx([-10 * 0.5**2 / 2, -5.0], abs=1e-9)
