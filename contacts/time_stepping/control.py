@@ -258,7 +258,7 @@ class StepControl:
                         self._warn_of(event, why, end)
 
     def _warn_between(self, between: Sequence[Ints], recorder: Recorder, end: StepEnd) -> None:
-        """Warn of events of contacts by modes (r,) that last between transitions of an instant."""
+        """Warn of contact events between transitions of an instant, which had these modes (r,)."""
         for modes in between:
             for i in np.flatnonzero(modes != end.codes).tolist():
                 if end.next_step is None or end.next_step.modes[0, i] == modes[i]:
@@ -282,7 +282,7 @@ class StepControl:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of events that controllers wait for and steps leave out, or add."""
-        return tuple((self._truths.found | self._left_out).values())
+        return tuple((self._truths.passed | self._left_out).values())
 
     def _warn_of(self, jump: Jump, why: str, end: StepEnd) -> None:
         """Warn if a transition waits for the event of a jump; `why` has a place for its name."""

@@ -9,9 +9,11 @@ Within a step cubics (Hermite) interpolate the margins; lines do where a rate is
 with impacts, margins are continued from both ends, as the impact may be anywhere. A warning names a
 guard that is true within a step, at neither end.
 
-An atom whose margin falls before an impact or transition and rises after it is false in that step,
-and while it rises back, as it is beyond its bound by an error of the step at most. A warning says
-so. An atom that falls to its bound as an open contact touches waits for the impact.
+An atom whose margin falls before an impact or transition and rises after it is false in that step
+and until it is back at its bound: it is beyond by an error of the step at most. A strict atom is so
+also while its margin stays. A warning says so. But `y >= 0` is false at rest on a floor at 0, if an
+inelastic landing ends below it. An atom that falls to its bound as an open contact touches waits
+for the impact.
 """
 
 from __future__ import annotations
@@ -182,12 +184,12 @@ class StepTruths:
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
         self._start, self._rate = np.full((2, 1, count), np.nan)
         self._gaps = np.full(1, np.nan)  # At the last midpoint.
-        # Atoms that impacts or transitions have reversed, while they rise, and those that wait for
-        # an impact in the next step.
+        # Atoms that impacts or transitions have reversed, while they rise or, if strict, stay, and
+        # those that wait for an impact in the next step.
         self._back, self._wait = np.zeros((2, 1, count), np.bool_)
-        # Steps that do not know forces: their true atoms, unknown atoms, and modes.
+        # Steps whose forces are unknown: their true atoms, unknown atoms, and modes.
         self._hidden = np.zeros((0, 1), np.int64)
-        self.found = dict[str, str]()  # Guard -> warning at the last instant.
+        self.passed = dict[str, str]()  # Guard -> warning at the last instant.
         if before is not None:
             self._remember(before)
 
@@ -203,7 +205,7 @@ class StepTruths:
         here, there = np.array(atoms, np.int64).reshape(-1, 2).T
         self._zero[:, here], self._back[:, here] = before._zero[:, there], before._back[:, there]
         self._start[:, here], self._wait[:, here] = before._start[:, there], before._wait[:, there]
-        self._gaps, self.found = before._gaps, before.found
+        self._gaps, self.passed = before._gaps, before.passed
         if len(before._hidden):
             new, old = self._back.shape[1], before._back.shape[1]
             true, unknown, codes = np.split(before._hidden, [old, 2 * old], axis=1)
@@ -296,10 +298,10 @@ class StepTruths:
         )
         jumps = early & (np.abs(ends.margins - now) > ends.zero)
         rows, codes = np.vstack([now < 0.0, ends.true, ends.true | jumps]), end.codes[None]
-        was, true, may = self._guards(rows, np.tile(codes, (3, 1)))
-        for i in np.flatnonzero(may & ~true & ~was).tolist():
+        before, after, within = self._guards(rows, np.tile(codes, (3, 1)))
+        for i in np.flatnonzero(within & ~after & ~before).tolist():
             name = self._watch.guards[i].name
-            self.found.setdefault(name, passed_warning(name, float(times[0]), last.h))
+            self.passed.setdefault(name, passed_warning(name, float(times[0]), last.h))
         # A contact may have touched up to half a step before this one.
         falls: Bools = (first >= last.h * fall * last.struck[-1].any()) & (fall < 0.0)
         return falls & (ends.margins - first >= 2.0 * last.h * fall)
@@ -334,8 +336,8 @@ class StepTruths:
         self._backs = np.maximum.accumulate(hit)[1:] > np.maximum.accumulate(free)[1:]
         true[1:] &= ~self._backs
         self._all = true
-        was = self._guards(true, codes)
-        return self._guards(ends.due & true[1:], self._codes), was[1:] & ~was[:-1]
+        holds = self._guards(true, codes)
+        return self._guards(ends.due & true[1:], self._codes), holds[1:] & ~holds[:-1]
 
     def _returns(self, changes: Array, zero: Array) -> Bools:
         """Return the atoms (m, a) whose margins rise; at a strict bound also those that stay."""
@@ -392,10 +394,10 @@ class StepTruths:
         """Continue after these steps, the first of those that `take` had last.
 
         Returns guard -> warning that it is true within a step only, until the run is at `end`,
-        before steps know its forces, or until an impact reverses it.
+        before its forces are known, or until an impact reverses it.
         """
         count = len(chunk.codes)
-        found, self.found = self.found, {}
+        found, self.passed = self.passed, {}
         if not count:
             return found
         found |= self._within(chunk, start, end)
@@ -411,9 +413,9 @@ class StepTruths:
     def _before_forces(
         self, chunk: Chunk, start: float, atoms: Bools, unknown: Bools
     ) -> dict[str, str]:
-        """Return guard -> warning that it is true before steps know its forces.
+        """Return guard -> warning that it is true in steps whose forces are unknown.
 
-        The forces of the first step that knows them stand for those before.
+        The forces of the first step after them stand for theirs.
         """
         early, count = len(self._hidden), len(atoms)
         rows = np.hstack([atoms, unknown, self._codes[:count]])
@@ -421,16 +423,16 @@ class StepTruths:
         atoms, unknown, codes = np.split(rows, [atoms.shape[1], 2 * atoms.shape[1]], axis=1)
         atoms, unknown = atoms.astype(np.bool_), unknown.astype(np.bool_)
         places = np.where(unknown.any(axis=1), len(rows), np.arange(len(rows)))
-        known = np.minimum.accumulate(places[::-1])[::-1]
-        self._hidden = np.unique(rows[known == len(rows)], axis=0)
-        now = np.minimum(known, len(rows) - 1)
+        first = np.minimum.accumulate(places[::-1])[::-1]  # Step with forces.
+        self._hidden = np.unique(rows[first == len(rows)], axis=0)
+        now = np.minimum(first, len(rows) - 1)
         true = self._guards(atoms, codes)
-        was = self._guards(np.where(unknown, atoms[now], atoms), codes) & ~true & ~true[now]
+        hidden = self._guards(np.where(unknown, atoms[now], atoms), codes) & ~true & ~true[now]
         return {
             self._watch.guards[i].name: f"{self._watch.guards[i].name} is true before t = "
-            f"{start + (now[k] - early + 1) * chunk.h:.6g}, in steps of {chunk.h:g} that do not "
-            "know its forces; use a shorter step"
-            for k, i in np.argwhere(was & (known < len(rows))[:, None])[::-1].tolist()
+            f"{start + (now[k] - early + 1) * chunk.h:.6g}, in steps of {chunk.h:g} whose "
+            "forces are unknown; use a shorter step"
+            for k, i in np.argwhere(hidden & (first < len(rows))[:, None])[::-1].tolist()
         }
 
     def _ends(self, times: Array, states: Array, solved: Array, h: float, zero: Bools) -> _Ends:
@@ -469,11 +471,11 @@ class StepTruths:
         a, c, zero = np.vstack([self._start, b])[:-1], self._fall[:count], self._at.zero[:count]
         first, last, codes = self._all[:count], self._all[1 : count + 1], self._codes[:count]
         near = self._at.near[:count]
-        known = ~np.vstack([self._back, self._backs])[:count]  # Not beyond a bound by an error.
-        before, after = (a + c < -zero) & known, (b - d < -zero) & known & ~near
+        trusted = ~np.vstack([self._back, self._backs])[:count]  # Not beyond a bound by an error.
+        before, after = (a + c < -zero) & trusted, (b - d < -zero) & trusted & ~near
         ends = self._guards(first, codes) | self._guards(last, codes)
-        may = self._guards(first | before | last | after, codes) & ~ends
-        for k in np.flatnonzero(may.any(axis=1)).tolist():
+        perhaps = self._guards(first | before | last | after, codes) & ~ends
+        for k in np.flatnonzero(perhaps.any(axis=1)).tolist():
             struck = chunk.struck[k]
             if struck.any():
                 touch = self._touches(chunk)[k, struck]
@@ -481,7 +483,7 @@ class StepTruths:
                 until, since = touch.max() + _REACH, touch.min() - _REACH
                 early = self._inside(_line(a[k], c[k], min(0.0, touch.min()), until), k, 1.0)
                 late = self._inside(_line(b[k], d[k], since - 1.0, 0.0), k, 1.0) & ~near[k]
-                rows = np.vstack([early & known[k], late & known[k] | near[k] & last[k]])
+                rows = np.vstack([early & trusted[k], late & trusted[k] | near[k] & last[k]])
             else:
                 lines = np.where(np.isnan(c[k] + d[k]), b[k] - a[k], np.stack([c[k], d[k]]))
                 rows = self._inside(np.array([a[k], b[k], *lines]), k, (end - start) / h - k)
