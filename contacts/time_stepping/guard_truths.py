@@ -168,6 +168,7 @@ class StepTruths:
         regions: ActiveStates,
         guards: ControlGuards,
         states: Key,
+        before: StepTruths | None = None,
     ) -> None:
         self._setup, self._regions = setup, regions
         # Places of the unknowns of guards among those of steps.
@@ -179,11 +180,34 @@ class StepTruths:
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
         self._start, self._rate = np.full((2, 1, count), np.nan)
         self._gaps = np.full(1, np.nan)  # At the last midpoint.
-        # Atoms that impacts or transitions have reversed, while they rise.
-        self._back = np.zeros((1, count), np.bool_)
+        # Atoms that impacts or transitions have reversed, while they rise, and those that wait for
+        # an impact in the next step.
+        self._back, self._wait = np.zeros((2, 1, count), np.bool_)
         # Steps that do not know forces: their true atoms, unknown atoms, and modes.
         self._hidden = np.zeros((0, 1), np.int64)
         self._found = dict[str, str]()  # Guard -> warning at the last instant.
+        if before is not None:
+            self._remember(before)
+
+    def _remember(self, before: StepTruths) -> None:
+        """Continue with what is known of the guards that other states of controllers watch, too."""
+        firsts = {(g.place, g.trigger): first for g, _, first in before._watch.placed}
+        atoms = [
+            (first + k, firsts[g.place, g.trigger] + k)
+            for g, condition, first in self._watch.placed
+            if (g.place, g.trigger) in firsts
+            for k in range(len(condition.atoms))
+        ]
+        here, there = np.array(atoms, np.int64).reshape(-1, 2).T
+        self._zero[:, here], self._back[:, here] = before._zero[:, there], before._back[:, there]
+        self._start[:, here], self._wait[:, here] = before._start[:, there], before._wait[:, there]
+        self._gaps, self._found = before._gaps, before._found
+        if len(before._hidden):
+            new, old = self._back.shape[1], before._back.shape[1]
+            true, unknown, codes = np.split(before._hidden, [old, 2 * old], axis=1)
+            self._hidden = np.zeros((len(true), 2 * new + codes.shape[1]), np.int64)
+            self._hidden[:, 2 * new :] = codes
+            self._hidden[:, here], self._hidden[:, new + here] = true[:, there], unknown[:, there]
 
     def enter(self, guards: ControlGuards, states: Key) -> None:
         """Continue with the same guards in other states of controllers."""
@@ -230,10 +254,13 @@ class StepTruths:
             # With accelerations that have reversed, too.
             rates = self.table(np.array([end.time]), end.state[None], end.solved[None], 1)[..., 0]
             back &= self._returns(end.h * rates, ends.zero)
+        # No transition has moved these.
+        self._wait = self._wait & (np.abs(ends.margins - self._start) <= ends.zero)
+        back |= ends.true & self._wait
         true = ends.true & ~back
         self._last, self._start, self._rate = true, ends.margins, ends.rates
         self._zero[1:] = ends.near
-        self._back = back
+        self._back = back & ~self._wait
         if end.last is not None:
             self._gaps = end.last.gaps[-1]
         unknown = np.isnan(ends.margins)
@@ -316,16 +343,20 @@ class StepTruths:
     def _wait_for_impacts(self, chunk: Chunk) -> Bools:
         """Return the atoms (m, a) that fall to their bound in a step as an open contact touches.
 
-        It is struck in the next step: in this one the midpoint comes before.
+        It is struck in the next step: in this one the midpoint comes before. So atoms that the
+        impact does not reverse become true a step late; those of time alone do not wait.
         """
         margins = np.vstack([self._start, self._at.margins])
-        falls: Bools = (margins[:-1] >= 0.0) & (margins[1:] < 0.0)
+        falls = (margins[:-1] >= 0.0) & self._at.true & (margins[1:] < margins[:-1])
+        falls &= ~self._watch.timed
         if falls.any():
             gaps = np.vstack([np.broadcast_to(self._gaps, chunk.gaps[:1].shape), chunk.gaps])
             with np.errstate(invalid="ignore", divide="ignore"):
                 touch = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
                 crossed = margins[:-1] / (margins[:-1] - margins[1:])
-            touches = (touch > 0.5) & (touch < 1.0) & (chunk.modes == FREE) & ~chunk.struck
+            touches = (
+                (touch > 0.5) & (touch < 1.0 + _AT_TOUCH) & (chunk.modes == FREE) & ~chunk.struck
+            )
             first = np.where(touches, touch, np.inf).min(axis=1, initial=np.inf)[:, None]
             falls &= crossed > first - _AT_TOUCH
         return falls
@@ -366,7 +397,7 @@ class StepTruths:
         self._zero = np.vstack([self._zero[1:], self._at.near[:count]])[-2:]
         self._last, self._start = atoms[-1:], self._at.margins[count - 1 : count]
         self._rate, self._back = self._at.rates[count - 1 : count], self._backs[count - 1 : count]
-        self._gaps = chunk.gaps[-1]
+        self._gaps, self._wait = chunk.gaps[-1], self._waits[count - 1 : count]
         return found
 
     def _before_forces(
