@@ -282,7 +282,7 @@ class StepControl:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of events that controllers wait for and steps leave out, or add."""
-        return tuple(self._left_out.values())
+        return tuple((self._truths.found | self._left_out).values())
 
     def _warn_of(self, jump: Jump, why: str, end: StepEnd) -> None:
         """Warn if a transition waits for the event of a jump; `why` has a place for its name."""

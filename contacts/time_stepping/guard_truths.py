@@ -39,6 +39,8 @@ AT_END = 1e-6
 # Part of a step by which a margin may reach its bound before a contact touches, and still count as
 # reversed there: lines through gaps and margins find both instants.
 _AT_TOUCH = 0.1
+# Part of a step by which margins are continued beyond a touch, which lines through gaps find.
+_REACH = 0.05
 # Steps that are taken to find forces after an impact: a landing hides them for up to five steps.
 _LANDING = 8
 
@@ -185,7 +187,7 @@ class StepTruths:
         self._back, self._wait = np.zeros((2, 1, count), np.bool_)
         # Steps that do not know forces: their true atoms, unknown atoms, and modes.
         self._hidden = np.zeros((0, 1), np.int64)
-        self._found = dict[str, str]()  # Guard -> warning at the last instant.
+        self.found = dict[str, str]()  # Guard -> warning at the last instant.
         if before is not None:
             self._remember(before)
 
@@ -201,7 +203,7 @@ class StepTruths:
         here, there = np.array(atoms, np.int64).reshape(-1, 2).T
         self._zero[:, here], self._back[:, here] = before._zero[:, there], before._back[:, there]
         self._start[:, here], self._wait[:, here] = before._start[:, there], before._wait[:, there]
-        self._gaps, self._found = before._gaps, before._found
+        self._gaps, self.found = before._gaps, before.found
         if len(before._hidden):
             new, old = self._back.shape[1], before._back.shape[1]
             true, unknown, codes = np.split(before._hidden, [old, 2 * old], axis=1)
@@ -297,7 +299,7 @@ class StepTruths:
         was, true, may = self._guards(rows, np.tile(codes, (3, 1)))
         for i in np.flatnonzero(may & ~true & ~was).tolist():
             name = self._watch.guards[i].name
-            self._found.setdefault(name, passed_warning(name, float(times[0]), last.h))
+            self.found.setdefault(name, passed_warning(name, float(times[0]), last.h))
         # A contact may have touched up to half a step before this one.
         falls: Bools = (first >= last.h * fall * last.struck[-1].any()) & (fall < 0.0)
         return falls & (ends.margins - first >= 2.0 * last.h * fall)
@@ -350,9 +352,8 @@ class StepTruths:
         falls = (margins[:-1] >= 0.0) & self._at.true & (margins[1:] < margins[:-1])
         falls &= ~self._watch.timed
         if falls.any():
-            gaps = np.vstack([np.broadcast_to(self._gaps, chunk.gaps[:1].shape), chunk.gaps])
+            touch = self._touches(chunk)
             with np.errstate(invalid="ignore", divide="ignore"):
-                touch = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
                 crossed = margins[:-1] / (margins[:-1] - margins[1:])
             touches = (
                 (touch > 0.5) & (touch < 1.0 + _AT_TOUCH) & (chunk.modes == FREE) & ~chunk.struck
@@ -360,6 +361,13 @@ class StepTruths:
             first = np.where(touches, touch, np.inf).min(axis=1, initial=np.inf)[:, None]
             falls &= crossed > first - _AT_TOUCH
         return falls
+
+    def _touches(self, chunk: Chunk) -> Array:
+        """Return the parts (m, r) of steps after which contacts touch, by lines through gaps."""
+        gaps = np.vstack([np.broadcast_to(self._gaps, chunk.gaps[:1].shape), chunk.gaps])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            touch: Array = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
+        return touch
 
     def undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name.
@@ -387,7 +395,7 @@ class StepTruths:
         before steps know its forces, or until an impact reverses it.
         """
         count = len(chunk.codes)
-        found, self._found = self._found, {}
+        found, self.found = self.found, {}
         if not count:
             return found
         found |= self._within(chunk, start, end)
@@ -453,22 +461,31 @@ class StepTruths:
         """Return guard -> warning that it is true within a step, at neither end.
 
         Cubics interpolate the margins; lines do where a rate is unknown. In steps with impacts,
-        which may be anywhere in the step, margins are continued from both ends.
+        margins are continued from both ends to the instant at which gaps say that contacts touch;
+        where they do not say, over the whole step.
         """
         h, count, found = chunk.h, len(chunk.codes), dict[str, str]()
         b, d = self._at.margins[:count], h * self._at.rates[:count]
         a, c, zero = np.vstack([self._start, b])[:-1], self._fall[:count], self._at.zero[:count]
         first, last, codes = self._all[:count], self._all[1 : count + 1], self._codes[:count]
+        near = self._at.near[:count]
         known = ~np.vstack([self._back, self._backs])[:count]  # Not beyond a bound by an error.
-        before, after = (a + c < -zero) & known, (b - d < -zero) & known & ~self._at.near[:count]
-        sides = np.array([first | before, last | after])
+        before, after = (a + c < -zero) & known, (b - d < -zero) & known & ~near
         ends = self._guards(first, codes) | self._guards(last, codes)
-        may = self._guards(sides.any(axis=0) | first | last, codes) & ~ends
+        may = self._guards(first | before | last | after, codes) & ~ends
         for k in np.flatnonzero(may.any(axis=1)).tolist():
-            rows = sides[:, k]
-            if not chunk.struck[k].any():
+            struck = chunk.struck[k]
+            if struck.any():
+                touch = self._touches(chunk)[k, struck]
+                touch = touch if (np.abs(touch) < 1.0).all() else np.array([_REACH, 1.0 - _REACH])
+                until, since = touch.max() + _REACH, touch.min() - _REACH
+                early = self._inside(_line(a[k], c[k], min(0.0, touch.min()), until), k, 1.0)
+                late = self._inside(_line(b[k], d[k], since - 1.0, 0.0), k, 1.0) & ~near[k]
+                rows = np.vstack([early & known[k], late & known[k] | near[k] & last[k]])
+            else:
                 lines = np.where(np.isnan(c[k] + d[k]), b[k] - a[k], np.stack([c[k], d[k]]))
                 rows = self._inside(np.array([a[k], b[k], *lines]), k, (end - start) / h - k)
+                rows &= ~self._waits[k] & ~self._backs[k]
             kinds = np.vstack([rows, rows & ~self._reversed[k]])
             true = self._guards(kinds, np.tile(codes[k], (len(kinds), 1)))
             for i in np.flatnonzero(true.any(axis=0) & ~ends[k]).tolist():
@@ -495,4 +512,11 @@ class StepTruths:
         first, last = self._all[k : k + 2]
         on_zero = np.where(first != last, self._watch.closed, last)
         inside: Bools = np.where(np.abs(at) <= self._at.zero[k], on_zero, at < 0.0)
-        return inside & ~self._waits[k] & ~self._backs[k]
+        return inside
+
+
+def _line(margins: Array, changes: Array, start: float, end: float) -> Array:
+    """Return the margins (4, a) at two parts of a step and their change between, as a cubic."""
+    changes = np.nan_to_num(changes)
+    first, last = margins + start * changes, margins + end * changes
+    return np.array([first, last, last - first, last - first])

@@ -255,3 +255,13 @@ def test_a_bound_waits_for_an_impact_across_transitions(
     assert {jump.cause for jump in jumps} <= {"touchdown", "tick"}
     if "after" in tick:
         assert [j.t for j in jumps if j.cause == "tick"] == [pytest.approx(0.448, abs=1e-9)]
+
+
+@pytest.mark.parametrize("end", [0.301, 0.302])
+def test_steps_warn_of_a_window_in_the_last_step(end: float) -> None:
+    """A period ends at 0.30017, and the window of the guard at 0.30057."""
+    text = BALL.replace("GUARD", "mod(time, 0.30017) < 4e-4 and time > 0.1").replace("E}", "0}")
+    text = text.replace("time: 0.6", f"time: {end}")
+    assert [jump.t for jump in statechart.run(read_text(text)).trace.jumps if jump.cause == "go"]
+    run = statechart.run(read_text(text), engine="impulse", step=STEP)
+    assert any("go is true within the step of 0.001 at t = 0.3" in w for w in run.warnings)
