@@ -146,13 +146,14 @@ stop: {time: 1}
 """
 
 
-@pytest.mark.parametrize("period", [0.3, 0.1])
-def test_a_new_period_wraps_time_anew(period: float) -> None:
+@pytest.mark.parametrize(("first", "period"), [(0.2, 0.3), (0.2, 0.1), (0.2, 0.002), (0.002, 0.3)])
+def test_a_new_period_wraps_time_anew(first: float, period: float) -> None:
+    text = WRAPPED.replace("T: 0.2", f"T: {first}")
     control = lambda sample: {"T": period} if sample.t == pytest.approx(0.5) else None  # noqa: E731
-    pieces = [*Runner(read_text(WRAPPED), engine="taylor").stream(every=0.5, control=control)]
+    pieces = [*Runner(read_text(text), engine="taylor").stream(every=0.5, control=control)]
     ends = [piece.coefficients[-1].sum(axis=1)[0] for piece in pieces if isinstance(piece, Arc)]
     integral = lambda t, T: (t // T) * T * T / 2 + (t % T) ** 2 / 2  # noqa: E731
-    before = integral(0.5, 0.2)
+    before = integral(0.5 + 1e-12, first)
     after = integral(1.0 + 1e-12, period) - integral(0.5 + 1e-12, period)
     assert ends[-1] == pytest.approx(before + after, abs=1e-9)
 
