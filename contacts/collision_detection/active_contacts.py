@@ -157,15 +157,17 @@ def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContact
 
 
 @kernel
-def write_compliant(gap: float, h: float, shift: float, m: int, active: ActiveContacts) -> bool:
+def write_compliant(
+    gap: float, near: float, h: float, shift: float, m: int, active: ActiveContacts
+) -> bool:
     """Write contact m as a compliant one, whose row its island writes; return whether it is active.
 
-    A contact that would end closed is active, too: a stiff spring would throw it out in the next
-    step.
+    A contact that would end closed by more than `near` is active, too: a stiff spring would throw
+    it out in the next step.
     """
     start = gap - 0.5 * h * active.before[m, 0]
     active.compliances[m], active.levels[m, 3], active.bias[m, 1] = 1.0, start, shift
-    return min(start, gap, start + h * active.free[m, 0]) <= 0.0
+    return min(start, gap, start + h * active.free[m, 0] + near) <= 0.0
 
 
 @kernel

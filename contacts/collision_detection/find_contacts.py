@@ -132,9 +132,8 @@ def candidate_pair(
         touch = other != b and not is_joined(numbers.joints, b, other)
         material = numbers.laws[numbers.kinds[b], numbers.kinds[other]] if touch else -1
         size, discs = min(pieces.sizes[p], pieces.sizes[q]), pieces.radii[p] * pieces.radii[q] > 0.0
-        turns = since * turning_speed(numbers, mid, p, q) > CROSSED * min(
-            pieces.cores[p], pieces.cores[q]
-        )
+        turning = turning_speed(numbers, mid, p) + turning_speed(numbers, mid, q)
+        turns = since * turning > CROSSED * min(pieces.cores[p], pieces.cores[q])
         slowly = not turns and is_relatively_slow(mid.drifts, pieces.sizes, p, q, CROSSED / since)
         rolls = pieces.radii[p] + pieces.radii[q] > 0.0
         return CandidatePair(
@@ -147,7 +146,7 @@ def candidate_pair(
     slowly, turns, way = True, False, CROSSED * pieces.cores[p]
     if surfaces.kinds[s] in (PLATE, ROUND):
         slowly = since * relative_speed(numbers, mid, p, q) <= way
-        turns = since * turning_speed(numbers, mid, p, p) > 2.0 * way
+        turns = since * turning_speed(numbers, mid, p) > way
     return CandidatePair(
         p, q, b, other, key, material, False, False, slowly, turns, rolls, size, within
     )
@@ -376,21 +375,29 @@ def _move_between(
 
 @kernel
 def _hollow_curvature_speed(
-    numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, gap: float
+    numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, point: Array
 ) -> float:
-    """Return the `curvature_speed` of a disc in a hollow circle; 0 for other pairs."""
+    """Return the `curvature_speed` of a disc or a corner in a hollow circle; 0 for other pairs."""
     p, s, surfaces = pair.p, pair.q - len(numbers.pieces.sizes), numbers.surfaces
-    if pair.whole or numbers.pieces.radii[p] == 0.0 or surfaces.kinds[s] != HOLLOW:
+    if pair.whole or surfaces.kinds[s] != HOLLOW:
         return 0.0
     pose, (u, v, turning) = mid.poses[pair.other], mid.old_rates[pair.other]
     x, y = to_world(pose, surfaces.numbers[s, 0], surfaces.numbers[s, 1])
     u, v = u - turning * (y - pose[1]), v + turning * (x - pose[0])
-    across, up = mid.centres[p, 0] - x, mid.centres[p, 1] - y
+    pose, (du, dv, turning) = mid.poses[pair.body], mid.old_rates[pair.body]
+    across, up = point[2], point[3]
+    if numbers.pieces.radii[p] > 0.0:
+        across, up = mid.centres[p]
+    lever = across - pose[0], up - pose[1]
+    du, dv = du - turning * lever[1] - u, dv + turning * lever[0] - v
+    across, up = across - x, up - y
     away = norm(across, up)
     if away == 0.0:
         return 0.0
-    along = (across * (mid.drifts[p, 1] - v) - up * (mid.drifts[p, 0] - u)) / away
-    return curvature_speed(along * along / away, -gap)
+    along = (across * dv - up * du) / away
+    # A corner, and a disc beside its body's centre, accelerate towards that.
+    turned = turning * turning * (lever[0] * point[0] + lever[1] * point[1])
+    return curvature_speed(along * along / away + turned, -point[4])
 
 
 @kernel
@@ -426,13 +433,14 @@ def _write_if_active(
         for k in range(4):
             active.levels[m, k] = 0.0
         _write_slip_direction(numbers, warm, place, lasting, gained, m, active)
-        return write_compliant(gap, h, 0.5 * h / times.since * shift, m, active)
+        near, shift = TOUCH_TOLERANCE * pair.size, 0.5 * h / times.since * shift
+        return write_compliant(gap, near, h, shift, m, active)
     turned = 0.0
     if place >= 0 and warm.contacts[place, 1] == 0.0:
         # A contact that has rebounded can return by rotation alone: no impact in every step.
         turned = h / times.since * turning_change(warm, place, m, active)[0]
     forced = abs(active.free[m, 0] - active.before[m, 0] + turned)
-    curved = _hollow_curvature_speed(numbers, mid, pair, gap)
+    curved = _hollow_curvature_speed(numbers, mid, pair, point)
     slow = SLOW * max(gained, forced, curved, TOUCH_TOLERANCE * pair.size / h)
     if gap < 0.0 and not known:
         explained = times.since * max(warm.last_step[1], nearing, slow)

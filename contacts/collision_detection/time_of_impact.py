@@ -55,12 +55,10 @@ def is_relatively_slow(velocities: Array, sizes: Array, one: int, other: int, ra
 
 
 @kernel
-def turning_speed(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
-    """Return the approach speed by rotation of two pieces; discs add none."""
-    pieces, total = numbers.pieces, 0.0
-    for p in (one, other):
-        total += abs(mid.old_rates[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
-    return total
+def turning_speed(numbers: BodyNumbers, mid: Midpoint, p: int) -> float:
+    """Return the approach speed by rotation of a piece; 0 for a disc."""
+    pieces = numbers.pieces
+    return abs(mid.old_rates[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
 
 
 @kernel

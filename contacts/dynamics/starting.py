@@ -119,7 +119,7 @@ def check_start(
         raise DeclarationProblem(
             f"rope {joint!r} is {-gap:.6g} shorter than the distance of its ends at the start"
             if rope
-            else f"joint {joint!r} starts {-gap:.6g} rad beyond a limit of its angle",
+            else f"joint {joint!r} starts beyond a limit of its angle",
             advice=f"change the start, or {'the length' if rope else 'the limits'}",
             loc=("joints", joint),
         )

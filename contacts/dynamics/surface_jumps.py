@@ -87,8 +87,8 @@ def modes_after_change(
             if len(opens):
                 joint = tape.joint_names[opens[0]].partition(".")[0]
                 raise NoConsistentMode(
-                    f"the new values of parameters let the {what} that joint {joint!r} holds jump "
-                    f"by {abs(jumps[opens[0]]):.3g}; let a variable of a controller flow there"
+                    f"the new values of parameters let the {what} that joint {joint!r} holds "
+                    "jump; let a variable of a controller flow there"
                 )
     numbers = (np.array([c[:3] for c in one.contacts]).reshape(-1, 3) for one in (old, new))
     failed, fails = (
@@ -118,5 +118,6 @@ def _displacement_error(scene: Scene, contact: str, depth: float) -> NoConsisten
     elif isinstance(surface, Stop):
         problem = f"limit {contact!r} jumps past the angle of its joint"
     return NoConsistentMode(
-        f"{problem}; write a path that moves there in a time, or let a variable flow"
+        f"{problem}; set its velocity instead, by a path such as v*(time - t0), or by a variable "
+        "that flows"
     )

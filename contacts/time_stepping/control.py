@@ -194,7 +194,7 @@ class StepControl:
         fired = tuple(g.name for g in watch.guards if (g.place, g.trigger) in firing.due)
         self._became_true = {one for one in self._became_true if one[0] != place}
         self.states = (*self.states[:place], taken.target, *self.states[place + 1 :])
-        self._truths = self._new_truths()
+        self._truths = self._new_truths(self._truths)
         after = self._states.updated(self._setup, recorder.clock, taken.name, taken.blocks, state)
         closing = ClosingImpact(after, {}, {}, {})
         if name in self._states.joints and taken.target == CLOSED:
@@ -258,7 +258,7 @@ class StepControl:
                         self._warn_of(event, why, end)
 
     def _warn_between(self, between: Sequence[Ints], recorder: Recorder, end: StepEnd) -> None:
-        """Warn of events of contacts by modes (r,) that last between transitions of an instant."""
+        """Warn of contact events between transitions of an instant, which had these modes (r,)."""
         for modes in between:
             for i in np.flatnonzero(modes != end.codes).tolist():
                 if end.next_step is None or end.next_step.modes[0, i] == modes[i]:
@@ -282,7 +282,7 @@ class StepControl:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of events that controllers wait for and steps leave out, or add."""
-        return tuple(self._left_out.values())
+        return tuple((self._truths.passed | self._left_out).values())
 
     def _warn_of(self, jump: Jump, why: str, end: StepEnd) -> None:
         """Warn if a transition waits for the event of a jump; `why` has a place for its name."""
@@ -399,10 +399,10 @@ class StepControl:
         """Continue after steps, the first of those of `cut`, until the run is at `end`."""
         self._left_out = self._truths.accept(chunk, start, end) | self._left_out
 
-    def _new_truths(self) -> StepTruths:
+    def _new_truths(self, before: StepTruths | None = None) -> StepTruths:
         """Return the guards of the present states."""
         guards = self._states.guards(self.states)
-        return StepTruths(self._mechanics, self._setup, self._active, guards, self.states)
+        return StepTruths(self._mechanics, self._setup, self._active, guards, self.states, before)
 
     def _chosen(self, which: Bools) -> set[tuple[int, int]]:
         """Return some of the guards of the present states, by region and trigger."""

@@ -108,10 +108,10 @@ class DiscretisationError:
         self._fastest = np.maximum(self._fastest, np.abs(rates).max(axis=0))
         self._way = self._way + np.abs(np.diff(chunk.states[:, :n], axis=0)).sum(axis=0)
         known = self._slips(now, chunk, start, codes)
-        mass = now.source.equations(now.values, chunk.states[0], start).mass
-        missed = now.source.limits.missed(mass, now.values, start, h, chunk.states)
-        if missed is not None:
-            known = known + missed
+        if now.source.limits.forces is not None:
+            mass = now.source.equations(now.values, chunk.states[0], start).mass
+            missed = now.source.limits.missed(mass, now.values, start, h, chunk.states)
+            known = known if missed is None else known + missed
         drift = self._drift + np.cumsum(known, axis=0)
         self._drift, self._drifted = drift[-1], np.maximum(self._drifted, np.abs(drift).max(axis=0))
         struck: Bools = np.any(chunk.struck, axis=1)

@@ -9,9 +9,11 @@ Within a step cubics (Hermite) interpolate the margins; lines do where a rate is
 with impacts, margins are continued from both ends, as the impact may be anywhere. A warning names a
 guard that is true within a step, at neither end.
 
-An atom whose margin falls before an impact or transition and rises after it is false in that step,
-and while it rises back, as it is beyond its bound by an error of the step at most. A warning says
-so. An atom that falls to its bound as an open contact touches waits for the impact.
+An atom whose margin falls before an impact or transition and rises after it is false in that step
+and until it is back at its bound: it is beyond by an error of the step at most. A strict atom is so
+also while its margin stays. A warning says so. But `y >= 0` is false at rest on a floor at 0, if an
+inelastic landing ends below it. An atom that falls to its bound as an open contact touches waits
+for the impact.
 """
 
 from __future__ import annotations
@@ -39,6 +41,8 @@ AT_END = 1e-6
 # Part of a step by which a margin may reach its bound before a contact touches, and still count as
 # reversed there: lines through gaps and margins find both instants.
 _AT_TOUCH = 0.1
+# Part of a step by which margins are continued beyond a touch, which lines through gaps find.
+_REACH = 0.05
 # Steps that are taken to find forces after an impact: a landing hides them for up to five steps.
 _LANDING = 8
 
@@ -168,6 +172,7 @@ class StepTruths:
         regions: ActiveStates,
         guards: ControlGuards,
         states: Key,
+        before: StepTruths | None = None,
     ) -> None:
         self._setup, self._regions = setup, regions
         # Places of the unknowns of guards among those of steps.
@@ -179,11 +184,34 @@ class StepTruths:
         self._last, self._zero = np.zeros((1, count), np.bool_), np.zeros((2, count), np.bool_)
         self._start, self._rate = np.full((2, 1, count), np.nan)
         self._gaps = np.full(1, np.nan)  # At the last midpoint.
-        # Atoms that impacts or transitions have reversed, while they rise.
-        self._back = np.zeros((1, count), np.bool_)
-        # Steps that do not know forces: their true atoms, unknown atoms, and modes.
+        # Atoms that impacts or transitions have reversed, while they rise or, if strict, stay, and
+        # those that wait for an impact in the next step.
+        self._back, self._wait = np.zeros((2, 1, count), np.bool_)
+        # Steps whose forces are unknown: their true atoms, unknown atoms, and modes.
         self._hidden = np.zeros((0, 1), np.int64)
-        self._found = dict[str, str]()  # Guard -> warning at the last instant.
+        self.passed = dict[str, str]()  # Guard -> warning at the last instant.
+        if before is not None:
+            self._remember(before)
+
+    def _remember(self, before: StepTruths) -> None:
+        """Continue with what is known of the guards that other states of controllers watch, too."""
+        firsts = {(g.place, g.trigger): first for g, _, first in before._watch.placed}
+        atoms = [
+            (first + k, firsts[g.place, g.trigger] + k)
+            for g, condition, first in self._watch.placed
+            if (g.place, g.trigger) in firsts
+            for k in range(len(condition.atoms))
+        ]
+        here, there = np.array(atoms, np.int64).reshape(-1, 2).T
+        self._zero[:, here], self._back[:, here] = before._zero[:, there], before._back[:, there]
+        self._start[:, here], self._wait[:, here] = before._start[:, there], before._wait[:, there]
+        self._gaps, self.passed = before._gaps, before.passed
+        if len(before._hidden):
+            new, old = self._back.shape[1], before._back.shape[1]
+            true, unknown, codes = np.split(before._hidden, [old, 2 * old], axis=1)
+            self._hidden = np.zeros((len(true), 2 * new + codes.shape[1]), np.int64)
+            self._hidden[:, 2 * new :] = codes
+            self._hidden[:, here], self._hidden[:, new + here] = true[:, there], unknown[:, there]
 
     def enter(self, guards: ControlGuards, states: Key) -> None:
         """Continue with the same guards in other states of controllers."""
@@ -230,10 +258,13 @@ class StepTruths:
             # With accelerations that have reversed, too.
             rates = self.table(np.array([end.time]), end.state[None], end.solved[None], 1)[..., 0]
             back &= self._returns(end.h * rates, ends.zero)
+        # No transition has moved these.
+        self._wait = self._wait & (np.abs(ends.margins - self._start) <= ends.zero)
+        back |= ends.true & self._wait
         true = ends.true & ~back
         self._last, self._start, self._rate = true, ends.margins, ends.rates
         self._zero[1:] = ends.near
-        self._back = back
+        self._back = back & ~self._wait
         if end.last is not None:
             self._gaps = end.last.gaps[-1]
         unknown = np.isnan(ends.margins)
@@ -267,10 +298,10 @@ class StepTruths:
         )
         jumps = early & (np.abs(ends.margins - now) > ends.zero)
         rows, codes = np.vstack([now < 0.0, ends.true, ends.true | jumps]), end.codes[None]
-        was, true, may = self._guards(rows, np.tile(codes, (3, 1)))
-        for i in np.flatnonzero(may & ~true & ~was).tolist():
+        before, after, within = self._guards(rows, np.tile(codes, (3, 1)))
+        for i in np.flatnonzero(within & ~after & ~before).tolist():
             name = self._watch.guards[i].name
-            self._found.setdefault(name, passed_warning(name, float(times[0]), last.h))
+            self.passed.setdefault(name, passed_warning(name, float(times[0]), last.h))
         # A contact may have touched up to half a step before this one.
         falls: Bools = (first >= last.h * fall * last.struck[-1].any()) & (fall < 0.0)
         return falls & (ends.margins - first >= 2.0 * last.h * fall)
@@ -305,8 +336,8 @@ class StepTruths:
         self._backs = np.maximum.accumulate(hit)[1:] > np.maximum.accumulate(free)[1:]
         true[1:] &= ~self._backs
         self._all = true
-        was = self._guards(true, codes)
-        return self._guards(ends.due & true[1:], self._codes), was[1:] & ~was[:-1]
+        holds = self._guards(true, codes)
+        return self._guards(ends.due & true[1:], self._codes), holds[1:] & ~holds[:-1]
 
     def _returns(self, changes: Array, zero: Array) -> Bools:
         """Return the atoms (m, a) whose margins rise; at a strict bound also those that stay."""
@@ -316,19 +347,29 @@ class StepTruths:
     def _wait_for_impacts(self, chunk: Chunk) -> Bools:
         """Return the atoms (m, a) that fall to their bound in a step as an open contact touches.
 
-        It is struck in the next step: in this one the midpoint comes before.
+        It is struck in the next step: in this one the midpoint comes before. So atoms that the
+        impact does not reverse become true a step late; those of time alone do not wait.
         """
         margins = np.vstack([self._start, self._at.margins])
-        falls: Bools = (margins[:-1] >= 0.0) & (margins[1:] < 0.0)
+        falls = (margins[:-1] >= 0.0) & self._at.true & (margins[1:] < margins[:-1])
+        falls &= ~self._watch.timed
         if falls.any():
-            gaps = np.vstack([np.broadcast_to(self._gaps, chunk.gaps[:1].shape), chunk.gaps])
+            touch = self._touches(chunk)
             with np.errstate(invalid="ignore", divide="ignore"):
-                touch = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
                 crossed = margins[:-1] / (margins[:-1] - margins[1:])
-            touches = (touch > 0.5) & (touch < 1.0) & (chunk.modes == FREE) & ~chunk.struck
+            touches = (
+                (touch > 0.5) & (touch < 1.0 + _AT_TOUCH) & (chunk.modes == FREE) & ~chunk.struck
+            )
             first = np.where(touches, touch, np.inf).min(axis=1, initial=np.inf)[:, None]
             falls &= crossed > first - _AT_TOUCH
         return falls
+
+    def _touches(self, chunk: Chunk) -> Array:
+        """Return the parts (m, r) of steps after which contacts touch, by lines through gaps."""
+        gaps = np.vstack([np.broadcast_to(self._gaps, chunk.gaps[:1].shape), chunk.gaps])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            touch: Array = 0.5 + gaps[1:] / (gaps[:-1] - gaps[1:])
+        return touch
 
     def undefined(self, chunk: Chunk) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name.
@@ -353,10 +394,10 @@ class StepTruths:
         """Continue after these steps, the first of those that `take` had last.
 
         Returns guard -> warning that it is true within a step only, until the run is at `end`,
-        before steps know its forces, or until an impact reverses it.
+        before its forces are known, or until an impact reverses it.
         """
         count = len(chunk.codes)
-        found, self._found = self._found, {}
+        found, self.passed = self.passed, {}
         if not count:
             return found
         found |= self._within(chunk, start, end)
@@ -366,15 +407,15 @@ class StepTruths:
         self._zero = np.vstack([self._zero[1:], self._at.near[:count]])[-2:]
         self._last, self._start = atoms[-1:], self._at.margins[count - 1 : count]
         self._rate, self._back = self._at.rates[count - 1 : count], self._backs[count - 1 : count]
-        self._gaps = chunk.gaps[-1]
+        self._gaps, self._wait = chunk.gaps[-1], self._waits[count - 1 : count]
         return found
 
     def _before_forces(
         self, chunk: Chunk, start: float, atoms: Bools, unknown: Bools
     ) -> dict[str, str]:
-        """Return guard -> warning that it is true before steps know its forces.
+        """Return guard -> warning that it is true in steps whose forces are unknown.
 
-        The forces of the first step that knows them stand for those before.
+        The forces of the first step after them stand for theirs.
         """
         early, count = len(self._hidden), len(atoms)
         rows = np.hstack([atoms, unknown, self._codes[:count]])
@@ -382,16 +423,16 @@ class StepTruths:
         atoms, unknown, codes = np.split(rows, [atoms.shape[1], 2 * atoms.shape[1]], axis=1)
         atoms, unknown = atoms.astype(np.bool_), unknown.astype(np.bool_)
         places = np.where(unknown.any(axis=1), len(rows), np.arange(len(rows)))
-        known = np.minimum.accumulate(places[::-1])[::-1]
-        self._hidden = np.unique(rows[known == len(rows)], axis=0)
-        now = np.minimum(known, len(rows) - 1)
+        first = np.minimum.accumulate(places[::-1])[::-1]  # Step with forces.
+        self._hidden = np.unique(rows[first == len(rows)], axis=0)
+        now = np.minimum(first, len(rows) - 1)
         true = self._guards(atoms, codes)
-        was = self._guards(np.where(unknown, atoms[now], atoms), codes) & ~true & ~true[now]
+        hidden = self._guards(np.where(unknown, atoms[now], atoms), codes) & ~true & ~true[now]
         return {
             self._watch.guards[i].name: f"{self._watch.guards[i].name} is true before t = "
-            f"{start + (now[k] - early + 1) * chunk.h:.6g}, in steps of {chunk.h:g} that do not "
-            "know its forces; use a shorter step"
-            for k, i in np.argwhere(was & (known < len(rows))[:, None])[::-1].tolist()
+            f"{start + (now[k] - early + 1) * chunk.h:.6g}, in steps of {chunk.h:g} whose "
+            "forces are unknown; use a shorter step"
+            for k, i in np.argwhere(hidden & (first < len(rows))[:, None])[::-1].tolist()
         }
 
     def _ends(self, times: Array, states: Array, solved: Array, h: float, zero: Bools) -> _Ends:
@@ -422,22 +463,31 @@ class StepTruths:
         """Return guard -> warning that it is true within a step, at neither end.
 
         Cubics interpolate the margins; lines do where a rate is unknown. In steps with impacts,
-        which may be anywhere in the step, margins are continued from both ends.
+        margins are continued from both ends to the instant at which gaps say that contacts touch;
+        where they do not say, over the whole step.
         """
         h, count, found = chunk.h, len(chunk.codes), dict[str, str]()
         b, d = self._at.margins[:count], h * self._at.rates[:count]
         a, c, zero = np.vstack([self._start, b])[:-1], self._fall[:count], self._at.zero[:count]
         first, last, codes = self._all[:count], self._all[1 : count + 1], self._codes[:count]
-        known = ~np.vstack([self._back, self._backs])[:count]  # Not beyond a bound by an error.
-        before, after = (a + c < -zero) & known, (b - d < -zero) & known & ~self._at.near[:count]
-        sides = np.array([first | before, last | after])
+        near = self._at.near[:count]
+        trusted = ~np.vstack([self._back, self._backs])[:count]  # Not beyond a bound by an error.
+        before, after = (a + c < -zero) & trusted, (b - d < -zero) & trusted & ~near
         ends = self._guards(first, codes) | self._guards(last, codes)
-        may = self._guards(sides.any(axis=0) | first | last, codes) & ~ends
-        for k in np.flatnonzero(may.any(axis=1)).tolist():
-            rows = sides[:, k]
-            if not chunk.struck[k].any():
+        perhaps = self._guards(first | before | last | after, codes) & ~ends
+        for k in np.flatnonzero(perhaps.any(axis=1)).tolist():
+            struck = chunk.struck[k]
+            if struck.any():
+                touch = self._touches(chunk)[k, struck]
+                touch = touch if (np.abs(touch) < 1.0).all() else np.array([_REACH, 1.0 - _REACH])
+                until, since = touch.max() + _REACH, touch.min() - _REACH
+                early = self._inside(_line(a[k], c[k], min(0.0, touch.min()), until), k, 1.0)
+                late = self._inside(_line(b[k], d[k], since - 1.0, 0.0), k, 1.0) & ~near[k]
+                rows = np.vstack([early & trusted[k], late & trusted[k] | near[k] & last[k]])
+            else:
                 lines = np.where(np.isnan(c[k] + d[k]), b[k] - a[k], np.stack([c[k], d[k]]))
                 rows = self._inside(np.array([a[k], b[k], *lines]), k, (end - start) / h - k)
+                rows &= ~self._waits[k] & ~self._backs[k]
             kinds = np.vstack([rows, rows & ~self._reversed[k]])
             true = self._guards(kinds, np.tile(codes[k], (len(kinds), 1)))
             for i in np.flatnonzero(true.any(axis=0) & ~ends[k]).tolist():
@@ -464,4 +514,11 @@ class StepTruths:
         first, last = self._all[k : k + 2]
         on_zero = np.where(first != last, self._watch.closed, last)
         inside: Bools = np.where(np.abs(at) <= self._at.zero[k], on_zero, at < 0.0)
-        return inside & ~self._waits[k] & ~self._backs[k]
+        return inside
+
+
+def _line(margins: Array, changes: Array, start: float, end: float) -> Array:
+    """Return the margins (4, a) at two parts of a step and their change between, as a cubic."""
+    changes = np.nan_to_num(changes)
+    first, last = margins + start * changes, margins + end * changes
+    return np.array([first, last, last - first, last - first])

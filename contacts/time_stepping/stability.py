@@ -34,6 +34,8 @@ CHANGE = 1e-6
 """Step of the finite differences of forces, relative to the size of a body."""
 # Regularisation of the Gram matrix of held directions, which may be redundant.
 _DEPENDENT_SQUARES = 1e-12
+# Quadrature error of forces, relative to the largest, below that of a warning at a tenth.
+_FORCES = 1e-3
 # Arnoldi iterations: an error below a hundredth.
 _ITERATIONS = 60
 # Batch size of formula evaluation.
@@ -85,7 +87,8 @@ class StepLimits:
             mechanics.time,
         }
         varies = any(force.free_symbols & changing for force in forces)
-        self._forces = mechanics.tape(forces) if varies else None
+        self.forces = mechanics.tape(forces) if varies else None
+        """Forces that vary within a step; None without any."""
 
     def swings(
         self, mass: Array, values: Array, state: Array, time: float, held: Array
@@ -114,15 +117,15 @@ class StepLimits:
     def missed(
         self, mass: Array, values: Array, start: float, h: float, states: Array
     ) -> Array | None:
-        """Return the velocities (k, n) by the force quadrature error of steps; None without any."""
-        tape, n, count = self._forces, len(mass), len(states) - 1
+        """Return the velocities (k, n) by the quadrature error of `forces`; None without any."""
+        tape, n, count = self.forces, len(mass), len(states) - 1
         if tape is None or not np.isfinite(mass).all():
             return None
         lines = np.stack([states[:-1], np.diff(states, axis=0)], -1)
         rates = slice(n, 2 * n)
         lines[:, rates, 0], lines[:, rates, 1] = 0.5 * (states[:-1, rates] + states[1:, rates]), 0.0
         steps = Steps(h * np.arange(count + 1.0), lines, values, start)
-        sums, _ = integrate_outputs(tape.parts, steps, 0.0, h * count)
+        sums, _ = integrate_outputs(tape.parts, steps, 0.0, h * count, _FORCES)
         middles = start + h * (np.arange(count) + 0.5)
         errors = sums - h * tape.table(lines @ (1.0, 0.5), values, middles)
         # A coordinate without inertia has no independent velocity.

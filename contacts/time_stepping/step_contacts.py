@@ -195,7 +195,7 @@ def find_active(
             continue
         if scene.compliance[i, 0] > 0.0:
             start, end = gap - 0.5 * h * before[0], gap + 0.5 * h * before[0]
-            met.active[i] = start <= scene.gap_tolerance or end <= 0.0
+            met.active[i] = start <= scene.gap_tolerance or end < -scene.gap_tolerance
             met.bias[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)

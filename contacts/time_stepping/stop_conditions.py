@@ -69,7 +69,7 @@ class StopConditions:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of conditions that steps pass over."""
-        return tuple(self._spans.values())
+        return tuple((self._truths.passed | self._spans).values())
 
     def change(self, setup: SceneSetup, time: float, state: Array, h: float) -> None:
         """Continue with other values of parameters."""

@@ -175,7 +175,7 @@ class Laws(Protocol):
     def change(self, at: InstantOf[Any], before: Any) -> tuple[Jump | None, Flow]:
         """Return the jump, if there is one, and the flow at a change of parameters.
 
-        `before` is the setup with the old values, `at` has that with the new ones.
+        `before` is the setup with the old values, `at` holds the setup with the new ones.
         """
 
     def accumulate(

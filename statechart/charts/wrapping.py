@@ -116,9 +116,14 @@ def count_periods(document: Document) -> tuple[Document, Mapping[str, Count]]:
 def _count(region: str, function: str, value: str, period: str) -> Count:
     count, period = f"{region}.count", _factor(period)
     up, down = _EVENTS[function]
-    steps = [(up, f"{value} >= ({count} + 1)*{period}", f"{count} + 1")]
-    if value != TIME or parse(period).names:
-        steps.append((down, f"{value} < {count}*{period}", f"{count} - 1"))
+    above, below, first = f"{count} + 1", f"{count} - 1", f"floor({_factor(value)}/{period})"
+    changes = bool((parse(value).names - {TIME}) | parse(period).names)
+    if changes:
+        # New parameters of a stream may pass many periods at once.
+        above, below = f"max({above}, {first})", f"min({below}, {first})"
+    steps = [(up, f"{value} >= ({count} + 1)*{period}", above)]
+    if value != TIME or changes:
+        steps.append((down, f"{value} < {count}*{period}", below))
     return Count(
         count,
         f"floor({_factor(_at_start(value))}/{period})",

@@ -232,8 +232,8 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
     notes = list(_remarks(automaton))
     if len(drawn_path) < len(path):
         notes.append(
-            f"{pluralise(len(visits), 'mode')} in {pluralise(len(path), 'step')}, of which the "
-            f"first {len(drawn_path)} are drawn"
+            f"the first {len(drawn_path)} of {pluralise(len(path), 'visit')} to "
+            f"{pluralise(len(visits), 'mode')} are drawn"
         )
     resting: dict[str, list[str]] = {}
     for k, (region, states) in enumerate(regions):

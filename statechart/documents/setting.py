@@ -45,7 +45,8 @@ def describe_value(value: object) -> str:
     if is_real(value):
         return f"{value:.7g}"
     if isinstance(value, int) and not isinstance(value, bool):
-        return f"1e{math.floor(math.log10(abs(value)))}, which is too large for a float"
+        digits = math.floor(math.log10(abs(value)))
+        return f"{'-' * (value < 0)}1e{digits}, which is too large for a float"
     return repr(value)
 
 

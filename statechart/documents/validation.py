@@ -20,6 +20,7 @@ from statechart.documents.hints import (
     sections_with_key,
     word_elsewhere,
 )
+from statechart.documents.setting import describe_value, is_real
 from statechart.documents.yaml_text import flow
 from statechart.errors import (
     MAX_PROBLEMS,
@@ -66,6 +67,8 @@ def declaration_error(
 ) -> DeclarationError:
     """Return the errors of pydantic as one error with positions."""
     errors, found = error.errors(include_url=False), list[DeclarationError]()
+    if isinstance(document, Built):
+        errors = _merge_iterated(errors, document)
     beside: dict[Loc, list[ErrorDetails]] = {}
     for details in errors:
         beside.setdefault(details["loc"][:-1], []).append(details)
@@ -87,6 +90,18 @@ def declaration_error(
         unknown = {_key(details) for details in errors}
         found += islice(_empty(document, model, unknown), MAX_PROBLEMS + 1)
     return _combine(found)
+
+
+def _merge_iterated(errors: list[ErrorDetails], document: Built) -> list[ErrorDetails]:
+    """Return errors with one for a part in the place of a list, of which pydantic lists fields."""
+    merged: dict[object, ErrorDetails] = {}
+    for place, details in enumerate(errors):
+        loc, part = details["loc"][:-1], document.value(details["loc"][:-1])
+        if isinstance(part, BaseModel) and isinstance(details["loc"][-1], int):
+            merged[loc] = {**details, "type": "tuple_type", "loc": loc, "input": part}
+        elif details["loc"] not in merged:
+            merged[place] = details
+    return list(merged.values())
 
 
 def _combine(found: list[DeclarationError]) -> DeclarationError:
@@ -274,6 +289,8 @@ def _message_and_advice(
     shown = {"dict": "a mapping", "list": "a list", "None": "nothing"}.get(shown, shown)
     if isinstance(value, bool) and not built:
         shown = flow(value)
+    elif isinstance(value, int) and not is_real(value):
+        shown = describe_value(value)
     if isinstance(value, type):
         brackets = "()" if kind == "union_tag_not_found" else "(...)"
         name = value.__name__

@@ -100,8 +100,8 @@ class Execution:
         return self.trace()
 
     @contextmanager
-    def ending(self) -> Iterator[None]:
-        """Turn interrupts and simulation errors into outcomes of the run."""
+    def ending(self, at: str = "") -> Iterator[None]:
+        """Turn interrupts and simulation errors into outcomes of the run, with the place `at`."""
         try:
             with interrupts.deferred():
                 yield
@@ -110,9 +110,8 @@ class Execution:
         except errors.SimulationError as error:
             started = self.started_mode is not None
             location = self.automaton.label(self.flow.mode) if started else "at the start"
-            self._end(
-                Outcome[error.outcome], f"mode {location}: {error}" if location else str(error)
-            )
+            place = f"{at}mode {location}: " if location else at
+            self._end(Outcome[error.outcome], f"{place}{error}")
         finally:
             self._progress.close()
 
@@ -130,7 +129,7 @@ class Execution:
             changed = None if sampling.control is None else sampling.control(self._sample())
             if changed:
                 values |= changed
-                with self.ending():
+                with self.ending(f"t = {self.clock.high:.6g}: "):
                     ended = self._change(values)
             yield from fresh()
             count += 1

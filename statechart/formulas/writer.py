@@ -14,7 +14,7 @@ import sympy as sp
 from sympy.core.sorting import default_sort_key, ordered
 from sympy.printing.str import StrPrinter
 
-from statechart.errors import StatechartError
+from statechart.errors import DeclarationError, StatechartError
 from statechart.formulas.linear import free_symbols
 from statechart.formulas.tape import Tape
 from statechart.kernels.tapes import OPCODES, tape_values
@@ -133,7 +133,7 @@ def compile_tape(
 
     `definitions` are named intermediate results, each in terms of earlier ones; unused ones are
     dropped. Raises `StatechartError` for an unknown or repeated symbol, a function without an
-    operation, or a constant that is not a finite real number.
+    operation, or a constant that is not a finite real number, `DeclarationError` if it overflows.
     """
     inputs = [*variables, time, *parameters]
     names = [*inputs, *(symbol for symbol, _ in definitions)]
@@ -291,8 +291,16 @@ class _Writer:
     def _constant(self, number: sp.Expr | float) -> int:
         try:
             value = float(number)
-        except (TypeError, OverflowError):
-            value = float("nan")
+        except OverflowError:
+            value = math.inf
+        except TypeError:
+            value = math.nan
+        if math.isinf(value) and sp.sympify(number).is_finite:
+            raise DeclarationError(
+                f"numbers of the model give the constant {sp.N(number, 7)}, which is too large for "
+                "a float",
+                advice="take larger units",
+            )
         if not math.isfinite(value):
             raise StatechartError(
                 f"the constant {to_text(number)[:80]} is not a finite real number; "

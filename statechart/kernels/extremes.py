@@ -10,7 +10,7 @@ from statechart.arrays import Array
 from statechart.kernels.boxes import Steps
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import sample_states
-from statechart.kernels.quadrature import integrate_outputs
+from statechart.kernels.quadrature import EXACT, integrate_outputs
 from statechart.kernels.tapes import TapeCode, tape_table
 
 # Number of grid points per piece, before refinement.
@@ -44,7 +44,7 @@ def update_extremes(
     """
     times = steps.times
     known = Steps(times, resolved, steps.parameters, steps.start)
-    _, ends = integrate_outputs(tape, known, 0.0, times[-1])
+    _, ends = integrate_outputs(tape, known, 0.0, times[-1], EXACT)
     pieces, begin = ends.shape[0], 0.0
     tau = np.zeros(_GRID * pieces + 1)
     for k in range(pieces):

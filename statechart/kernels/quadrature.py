@@ -20,8 +20,8 @@ from statechart.kernels.resolution import (
 )
 from statechart.kernels.tapes import TapeCode
 
-# Relative tolerance of integrals and extremes, to the largest value.
-_EXACT = 1e-15
+EXACT = 1e-15
+"""Relative tolerance of integrals and extremes, to the largest value."""
 # Features below this multiple of a function's round-off are not resolved.
 _ROUNDINGS = 8.0
 # Far above the underflow margin of enclosures.
@@ -36,25 +36,26 @@ _WEIGHTS = _WEIGHTS / 2.0
 
 @kernel
 def _is_unresolved(
-    outputs: Ints32, jets: Array, width: float, undefined: Bools, largest: Array, rough: Array
-) -> bool:
+    outputs: Ints32, jets: Array, width: float, undefined: Bools, largest: Array, rough: Array,
+    tolerance: float,
+) -> bool:  # fmt: skip
     """Return whether a piece is unresolved for some output; write the roughness of each."""
     missed = False
     for i in range(outputs.shape[0]):
         rough[i] = jets[outputs[i], 2]
-        near = width * rough[i] <= _EXACT * largest[i] + _NOTHING
+        near = width * rough[i] <= tolerance * largest[i] + _NOTHING
         missed = missed or not (undefined[i] or near)
     return missed
 
 
 @kernel
 def integrate_outputs(
-    tape: TapeCode, steps: Steps, t_from: float, t_to: float
+    tape: TapeCode, steps: Steps, t_from: float, t_to: float, tolerance: float
 ) -> tuple[Array, Array]:
     """Return the integrals (k, n_out) of each step within [t_from, t_to], and the ends of pieces.
 
-    Times are local. Steps are halved until all outputs are resolved in each piece, kinks down to
-    round-off; each piece has 16 Gauss nodes.
+    Times are local. Steps are halved until all outputs are resolved in each piece, to a `tolerance`
+    relative to the largest value (`EXACT`: kinks down to round-off); pieces have 16 Gauss nodes.
     """
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     count = _NODES.shape[0]
@@ -84,13 +85,15 @@ def integrate_outputs(
                     undefined[i] = undefined[i] or value != value
                     largest[i] = max(largest[i], value)
             whole = b - a == 1.0 and bound_step(step_tape, step, jets)
-            halve = not whole or _is_unresolved(outputs, jets, b - a, undefined, largest, rough)
+            halve = not whole or _is_unresolved(
+                outputs, jets, b - a, undefined, largest, rough, tolerance
+            )
             if halve:
                 if not prepared:
                     bound_third_derivatives(coeffs, step, reads, bounds)
                     prepared = True
                 bound_box(step_tape, step, bounds, a, b, jets)
-                halve = _is_unresolved(outputs, jets, b - a, undefined, largest, rough)
+                halve = _is_unresolved(outputs, jets, b - a, undefined, largest, rough, tolerance)
             if halve:
                 # Roughness that is the same at single places, or within the round-off of values
                 # there, is the round-off of a kink at zero.
@@ -108,7 +111,9 @@ def integrate_outputs(
                 for i in range(outputs.shape[0]):
                     more = min(rough[i], jets[outputs[i], 2]) - noise[i]
                     missed = (b - a) * more if more > 0.0 else 0.0
-                    halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
+                    halve = halve or not (
+                        undefined[i] or missed <= tolerance * largest[i] + _NOTHING
+                    )
             if halve and b - a > NARROW and looked < _MAX_PIECES:
                 m = 0.5 * (a + b)
                 lefts[top], rights[top] = m, b

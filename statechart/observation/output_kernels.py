@@ -30,7 +30,7 @@ from statechart.execution.compiled_loop import (
 from statechart.kernels.boxes import Steps
 from statechart.kernels.extremes import update_extremes
 from statechart.kernels.jit import kernel
-from statechart.kernels.quadrature import integrate_outputs
+from statechart.kernels.quadrature import EXACT, integrate_outputs
 from statechart.kernels.tapes import TapeCode, tape_values
 
 SOURCE, TARGET = 0, 1
@@ -161,7 +161,7 @@ def _include_arcs(
         tape = tapes.integrals[kind]
         if tape[5] > 0:
             steps = Steps(times, terms, parameters, block.starts[arc, 0])
-            sums, _ = integrate_outputs(_program(tapes, tape), steps, 0.0, times[-1])
+            sums, _ = integrate_outputs(_program(tapes, tape), steps, 0.0, times[-1], EXACT)
             for i in range(sums.shape[1]):
                 total = 0.0
                 for step in range(sums.shape[0]):

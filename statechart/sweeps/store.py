@@ -240,7 +240,7 @@ class Store:
             return self._created(MemoryStore())
         if path.is_dir() and all(p.match(_PARTIAL) or p.name == _LOCK for p in path.iterdir()):
             return self._remake(path)
-        if not resume:
+        if not resume and path.is_dir():
             raise DeclarationError(
                 f"{path} exists already",
                 advice="continue it with --resume (resume=True), or name another store",

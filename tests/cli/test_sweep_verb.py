@@ -143,6 +143,7 @@ def test_a_sweep_in_which_no_cell_runs_fails() -> None:
         (["--over", "mu=1", "-o", "here.nc"], "exists already"),
         (["--over", "mu=1", "-o", "here.nc/a.nc"], "is a file"),
         (["--over", "mu=1", "-o", "here.zarr"], "exists already"),
+        (["--over", "mu=1", "-o", "file.zarr"], "file.zarr is no sweep store; name another, or"),
         (["--over", "mu=1", "-o", "here.zarr", "--resume"], "no sweep store"),
         (["--over", "mu=1", "--resume"], "-o STORE.zarr"),
         (["--over", "mu=1", "--plot", "a.txt"], "the suffix must be one of"),
@@ -164,6 +165,7 @@ def test_wrong_input_is_one_message(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("statechart.sweeps.workers._SCHEDULER_TIMEOUT", 1.0)
     (tmp_path / "here.nc").write_text("")
+    (tmp_path / "file.zarr").write_text("")
     (tmp_path / "here.zarr").mkdir()
     (tmp_path / "here.zarr" / "notes.txt").write_text("")
     assert main(["sweep", STICK, *arguments]) == 2
@@ -171,7 +173,7 @@ def test_wrong_input_is_one_message(
     assert captured.out == ""
     assert words in captured.err
     assert "Traceback" not in captured.err
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["here.nc", "here.zarr"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file.zarr", "here.nc", "here.zarr"]
 
 
 _KILLED = """

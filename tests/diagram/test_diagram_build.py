@@ -170,7 +170,8 @@ def test_a_long_run_is_drawn_by_its_first_steps() -> None:
     diagram = build(runner.automaton, trace.start_mode, trace)
     run = diagram.charts[0]
     assert run.path == tuple(" ".join(key) for key in trace.modes[:16])
-    assert any("of which the first 16 are drawn" in note for note in diagram.notes)
+    visits, modes = len(trace.modes), len(set(trace.modes))
+    assert f"the first 16 of {visits} visits to {modes} modes are drawn" in diagram.notes
 
 
 def test_simultaneous_touchdowns_are_one_edge_of_the_diagram() -> None:

@@ -9,7 +9,20 @@ import numpy as np
 import pytest
 
 from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Shape, Slide, Surface
-from statechart import Result, Stop, Value, check, equations, graph, load, run, sweep, trade
+from statechart import (
+    Region,
+    Result,
+    Settings,
+    Stop,
+    Value,
+    check,
+    equations,
+    graph,
+    load,
+    run,
+    sweep,
+    trade,
+)
 from statechart.charts.transitions import Transition
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
@@ -44,6 +57,10 @@ def scene(**changes: object) -> Scene:
             "Contact: modes.0: must be built, not the class Slide; write Slide()",
         ),
         (
+            lambda: Contact(point=Point(body="a"), surface="b", friction=1, modes=Slide()),
+            "Contact: modes: must be a list, not Slide; such as ['slide', 'pin']",
+        ),
+        (
             lambda: scene(
                 bodies={
                     "rod": Body(mass=1, inertia=1, shape=Shape(polygon=((0, 0), (0, 1), (1, 0))))
@@ -76,6 +93,10 @@ def scene(**changes: object) -> Scene:
         (
             lambda: run(scene(), tolerance=10**400),
             "tolerance must be a number, not 1e400, which is too large",
+        ),
+        (
+            lambda: Settings(step=-(10**400)),
+            "Settings: step: must be a number, not -1e400, which is too large for a float; such as",
         ),
         (lambda: Stop(time=10**400), "formula '1e400': the number is too large for a float"),
         (lambda: run(scene()).at(np.ones(2)), "Result.at: t must be a number, not array([1., 1.])"),
@@ -224,6 +245,14 @@ def test_mistakes_in_python_are_reported_like_those_in_files(
         build()
     assert reported in str(caught.value)
     assert caught.value.__cause__ is None
+
+
+def test_a_part_in_the_place_of_a_list_is_one_error() -> None:
+    go = Transition(name="go", source="a", target="b", after=1)
+    with pytest.raises(DeclarationError) as caught:
+        Region(initial="a", states={"a": {}, "b": {}}, transitions=go)
+    [message] = str(caught.value).splitlines()
+    assert message.startswith("Region: transitions: must be a list, not Transition; such as [{'na")
 
 
 def test_copies_take_keys_of_documents() -> None:

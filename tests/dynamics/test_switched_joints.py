@@ -744,3 +744,18 @@ stop: {{time: 1}}
     assert trace.t_end == pytest.approx(0.072, abs=1e-9)
     trace = statechart.run(read_text(text), step=1e-5, **steps).trace
     assert trace.final[2] == pytest.approx(most, abs=1e-4)
+
+
+def test_a_joint_that_starts_beyond_a_limit_is_refused_without_a_length_as_its_angle() -> None:
+    """The angle 0.9 is 0.4 beyond the limit; margins of limits are lengths."""
+    text = """
+kind: scene
+name: arm
+bodies: {arm: {mass: 2, inertia: 0.1, start: {angle: 0.9}}}
+joints: {hinge: {point: {body: arm}, to: [0, 0], limits: [-1, 0.5]}}
+stop: {time: 1}
+"""
+    with pytest.raises(
+        DeclarationError, match="joint 'hinge' starts beyond a limit of its angle; "
+    ):
+        statechart.run(read_text(text))

@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from strategies import P, Q, T, X, Y, examples, expressions, tape_of
 
-from statechart.errors import StatechartError
+from statechart.errors import DeclarationError, StatechartError
 from statechart.formulas.writer import Max, Min, compile_tape
 from statechart.kernels.search import search
 from statechart.kernels.tapes import OPCODES, tape_table, tape_values
@@ -117,6 +117,12 @@ def test_large_friction_does_not_overflow():
 def test_functions_without_an_operation_are_refused_by_name(expression, word):
     with pytest.raises(StatechartError, match=word):
         tape_of(expression)
+
+
+@pytest.mark.parametrize("constant", [sp.Float("1e300") ** 2, sp.Integer(10) ** 600])
+def test_a_product_of_numbers_that_overflows_is_wrong_input(constant):
+    with pytest.raises(DeclarationError, match=r"1.000000E\+600, which is too large for a float; "):
+        tape_of(constant * X)
 
 
 def test_a_definition_cannot_use_a_later_one():

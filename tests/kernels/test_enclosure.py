@@ -19,7 +19,7 @@ from statechart.kernels.boxes import Steps, bound_third_derivatives, enclose, wr
 from statechart.kernels.intervals import sine_or_cosine
 from statechart.kernels.jets import run_jets
 from statechart.kernels.polynomials import sample_states
-from statechart.kernels.quadrature import integrate_outputs
+from statechart.kernels.quadrature import EXACT, integrate_outputs
 from statechart.kernels.tapes import OPCODES
 from statechart.reporting.report import lowest
 
@@ -486,7 +486,7 @@ def test_the_least_value_along_many_flows_is_the_least_of_each():
 
 def integrals(tape, times, coeffs, begin, end):
     steps = Steps(times, coeffs, np.zeros(1), 4.0)
-    sums, ends = integrate_outputs(tape.parts, steps, begin, end)
+    sums, ends = integrate_outputs(tape.parts, steps, begin, end, EXACT)
     return sums.sum(axis=0), ends
 
 
@@ -503,3 +503,17 @@ def test_integrals_are_exact_for_polynomials_and_add_up():
     parts = [integrals(tape, times, coeffs, a, b)[0] for a, b in ((0.5, 0.8), (0.8, 3.25))]
     np.testing.assert_allclose(sum(parts), whole, rtol=1e-12)
     np.testing.assert_array_equal(integrals(tape, times, coeffs, 2.0, 2.0)[0], 0.0)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-6])
+def test_kinks_are_resolved_as_far_as_the_tolerance_demands(tolerance: float) -> None:
+    """The sign of t - 1/3 has the integral 1/3 over a step of length 1."""
+    tape, (times, coeffs) = (
+        tape_of(sp.sign(T - 4 - sp.Rational(1, 3))),
+        (np.array([0.0, 1.0]), np.zeros((1, 2, 1))),
+    )
+    steps = Steps(times, coeffs, np.zeros(1), 4.0)
+    (total,), ends = integrate_outputs(tape.parts, steps, 0.0, 1.0, tolerance)
+    assert total == pytest.approx([1.0 / 3.0], abs=2.0 * tolerance)
+    assert len(ends) <= 3.0 - math.log2(tolerance)
+    assert len(integrate_outputs(tape.parts, steps, 0.0, 1.0, EXACT)[1]) > 40

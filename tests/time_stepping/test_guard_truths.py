@@ -211,3 +211,57 @@ def test_steps_warn_of_a_window_just_after_a_wrap(width: float, true: bool) -> N
         assert times == ([] if passed else [pytest.approx(0.30017, abs=1.1 * (step or 1e-9))])
         warns = [w for w in run.warnings if "go is true within the step of 0.001 at t = 0.3" in w]
         assert len(warns) == passed
+
+
+@pytest.mark.parametrize("step", [None, STEP, 3.1e-4])
+@pytest.mark.parametrize(
+    "tick", ["to: b, after: 0.5", "every: 0.1", "to: b, on: c.touchdown", "every: 0.01"]
+)
+@pytest.mark.parametrize(("guard", "restitution"), [("b.y < 0", 0.0), ("b.y <= 0", 0.5)])
+def test_transitions_of_another_region_turn_no_reversed_guard_true(
+    guard: str, restitution: float, tick: str, step: float | None
+) -> None:
+    """The ball lands at 0.44759: it then rests at 0, or rises until 0.895."""
+    text = BALL.replace("y: 0.45", "y: 1.0017").replace("E}", f"{restitution}}}")
+    text = text.replace("GUARD", guard).replace(
+        "stop:",
+        "  s: {initial: a, states: {a: {}, b: {}}, transitions: [{name: tick, from: a, TICK}]}\n"
+        "stop:".replace("TICK", tick),
+    )
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+    run = statechart.run(read_text(text), **setting)
+    causes = [jump.cause for jump in run.trace.jumps]
+    assert causes.count("touchdown") == 1
+    assert "go" not in causes
+    assert any("r.go reaches its boundary" in w for w in run.warnings)
+
+
+@pytest.mark.parametrize("step", [None, STEP])
+@pytest.mark.parametrize("tick", ["to: b, after: 0.448", "every: 0.001"])
+@pytest.mark.parametrize("stops", [False, True])
+def test_a_bound_waits_for_an_impact_across_transitions(
+    stops: bool, tick: str, step: float | None
+) -> None:
+    """The ball touches at 0.44759, and is struck by steps after 0.448."""
+    text = BALL.replace("y: 0.45", "y: 1.0017").replace("E}", "0.5}")
+    text = text.replace("GUARD", "time > 9" if stops else "b.y <= 0")
+    ticks = f"[{{name: tick, from: a, {tick}}}]"
+    region = f"  s: {{initial: a, states: {{a: {{}}, b: {{}}}}, transitions: {ticks}}}\n"
+    text = text.replace("stop:", f"{region}stop:")
+    if stops:
+        text = text.replace("0.6}", "0.6, conditions: {go: b.y <= 0}}")
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+    jumps = statechart.run(read_text(text), **setting).trace.jumps
+    assert {jump.cause for jump in jumps} <= {"touchdown", "tick"}
+    if "after" in tick:
+        assert [j.t for j in jumps if j.cause == "tick"] == [pytest.approx(0.448, abs=1e-9)]
+
+
+@pytest.mark.parametrize("end", [0.301, 0.302])
+def test_steps_warn_of_a_window_in_the_last_step(end: float) -> None:
+    """A period ends at 0.30017, and the window of the guard at 0.30057."""
+    text = BALL.replace("GUARD", "mod(time, 0.30017) < 4e-4 and time > 0.1").replace("E}", "0}")
+    text = text.replace("time: 0.6", f"time: {end}")
+    assert [jump.t for jump in statechart.run(read_text(text)).trace.jumps if jump.cause == "go"]
+    run = statechart.run(read_text(text), engine="impulse", step=STEP)
+    assert any("go is true within the step of 0.001 at t = 0.3" in w for w in run.warnings)

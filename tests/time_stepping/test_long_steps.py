@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contacts.time_stepping.scene_tape import SteppedTape
 from statechart import Outcome, Runner, run
 from statechart.documents.yaml_reader import read_text
 from statechart.running.result import Result
@@ -259,6 +261,23 @@ def test_the_quadrature_error_of_a_drive_is_its_integral_less_the_midpoint_rule(
     (warning,) = words(found, "too long for the forces")
     expected = np.abs(exact - rule).max() / np.abs(rule).max()
     assert f"up to {expected:.2g} of" in warning
+
+
+def test_constant_forces_need_no_equations_for_their_quadrature(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    evaluate, calls = SteppedTape.equations, [0]
+
+    def counted(*of: Any) -> Any:
+        calls[-1] += 1
+        return evaluate(*of)
+
+    monkeypatch.setattr(SteppedTape, "equations", counted)
+    for force in ("3", "3 + 0*time", "3 + 1e-6*time"):
+        text = SPRING.replace('"-k*b.x + A*sin(2*pi*f*time+1)", "-k*(b.y-1)"', f'"{force}", 0')
+        runner(text, 1e-3).run()
+        calls.append(0)
+    assert calls[0] == calls[1] < calls[2]
 
 
 def test_well_sampled_drive_gives_no_warning() -> None:

@@ -298,3 +298,31 @@ def test_a_compliant_contact_that_touches_at_the_end_of_a_step_has_no_force_in_i
     text = SOFT_WALL.format(shape=shape, contact=contact)
     result = Runner(read_text(text), engine="impulse", step=step).run({})
     assert result.outputs["v"] == pytest.approx(2.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(("y", "dy"), [(1e-4, -0.1), (3e-4, -0.1), (3e-4, -0.3)])
+@pytest.mark.parametrize("damping", [0, 10])
+@pytest.mark.parametrize(
+    ("shape", "contact"),
+    [
+        ("", "contacts: {c: {point: {body: b}, surface: floor, friction: 0.3, "),
+        ("shape: {disc: 0.5},", "collisions: {c: {bodies: [b], surfaces: [floor], friction: 0.3, "),
+    ],
+)
+def test_a_compliant_contact_touches_down_where_its_gap_ends(
+    shape: str, contact: str, damping: int, y: float, dy: float
+) -> None:
+    """Without gravity the gap y + dy t ends at -y/dy, here the end of a step."""
+    text = f"""
+kind: scene
+name: soft_floor
+gravity: 0
+bodies: {{b: {{mass: 1, inertia: 0.1, {shape} start: {{y: {y + 0.5 * bool(shape)}, dy: {dy}}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+{contact}stiffness: 5000, damping: {damping}}}}}
+stop: {{time: 0.01}}
+"""
+    trace = Runner(read_text(text), engine="impulse", step=1e-3).run({}).trace
+    (jump,) = trace.jumps
+    assert jump.cause == "touchdown"
+    assert jump.t == pytest.approx(-y / dy, abs=1e-9)

@@ -37,3 +37,32 @@ def test_point_that_meets_a_surface_tangentially_lands_once(
     assert events[0].t == pytest.approx(1 / speed, abs=2 * step)
     # Without friction the surface turns the velocity, and keeps its size.
     assert math.hypot(*trace.final[2:]) == pytest.approx(speed, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "shape", ["{disc: 0.05}", "{polygon: [[0.3, 0], [-0.15, 0.2], [-0.15, -0.2]]}"]
+)
+@pytest.mark.parametrize("bounce", ["0", "0.5", "0.9"])
+@pytest.mark.parametrize("turning", [0.0, 2.0])
+def test_disc_or_corner_that_starts_along_a_hollow_circle_lands_once(
+    shape: str, bounce: str, turning: float
+) -> None:
+    """Without friction and gravity the circle keeps the energy and its moment about the centre."""
+    text = f"""
+kind: scene
+name: drum
+gravity: 0
+bodies:
+  b: {{mass: 1, inertia: 0.05, shape: {shape}, start: {{x: X, dy: 2, dangle: {turning}}}}}
+surfaces: {{drum: {{circle: [0, 0], radius: 1, hollow: true}}}}
+collisions: {{a: {{bodies: [b], surfaces: [drum], friction: 0, restitution: {bounce}}}}}
+stop: {{time: 0.1}}
+settings: {{engine: impulse, step: 1e-3}}
+"""
+    start = 0.95 if "disc" in shape else 0.7
+    trace = run(read_text(text.replace("X", str(start)))).trace
+    assert [jump.cause for jump in trace.jumps] == ["touchdown"]
+    x, y, _, dx, dy, dangle = trace.final
+    assert dx * dx + dy * dy + 0.05 * dangle**2 == pytest.approx(4 + 0.05 * turning**2, rel=2e-3)
+    moment = x * dy - y * dx + 0.05 * dangle
+    assert moment == pytest.approx(2 * start + 0.05 * turning, rel=2e-3)
