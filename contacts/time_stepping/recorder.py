@@ -137,9 +137,9 @@ class Recorder:
         return self._changed(self.recorded_modes(chunk)) | np.any(chunk.struck, axis=1)
 
     def take_finished(self, *, motion: bool, ended: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
-        """Remove finished arcs and jumps; return them if the `motion` is wanted, or the last arc.
+        """Remove finished arcs and jumps; return them if outputs ask for the `motion`.
 
-        The last arc is returned where the run has `ended`.
+        Otherwise return the last arc if the run has `ended`, else nothing.
         """
         finished: tuple[Sequence[Arc], Sequence[Jump]] = (), ()
         if motion:

@@ -10,6 +10,7 @@ from numbers import Real
 from typing import TypedDict
 
 from statechart.errors import DeclarationProblem
+from statechart.formulas.formula import power_of_ten
 
 _BETWEEN, _POSITIVE = "{} must be above 0 and below 1", "the {} must be a positive time"
 # Number -> its least upper bound, and the message; the lower bound is 0.
@@ -45,8 +46,7 @@ def describe_value(value: object) -> str:
     if is_real(value):
         return f"{value:.7g}"
     if isinstance(value, int) and not isinstance(value, bool):
-        digits = math.floor(math.log10(abs(value)))
-        return f"{'-' * (value < 0)}1e{digits}, which is too large for a float"
+        return f"{power_of_ten(value)}, which is too large for a float"
     return repr(value)
 
 

@@ -202,12 +202,16 @@ def _read(text: str) -> Formula:
     return Formula(text, root)
 
 
+def power_of_ten(value: int) -> str:
+    """Return the power of ten below an integer that no float holds, with its sign."""
+    return f"{'-' * (value < 0)}1e{math.floor(math.log10(abs(value)))}"
+
+
 def _number_text(value: int | float) -> str:
     try:
         as_float = float(value)
     except OverflowError:
-        digits = math.floor(math.log10(abs(value)))
-        Source(f"1e{digits}").fail("the number is too large for a float")
+        Source(power_of_ten(int(value))).fail("the number is too large for a float")
     if math.isnan(as_float):
         Source("nan").fail("a finite number or inf was expected")
     return str(value) if isinstance(value, int) else repr(as_float)
