@@ -48,8 +48,8 @@ class Recorder:
     (r, 2): places of V and H among the further unknowns, or twice that of a torque; None: no
     forces. Controller variables follow the `coordinates` and their rates. `slips` and `slip_errors`
     are those of `SteppedSystem`; up to `still` they count as rest. Without `modes`, jumps of
-    regions are only counted, and arcs end where they would. `control_jumps` are those of
-    controllers and the stop.
+    regions are only counted, and arcs end where they would; without `motion`, too, only the last
+    two arcs of each chunk are kept. `control_jumps` are those of controllers and the stop.
     """
 
     regions: Sequence[str]
@@ -66,6 +66,7 @@ class Recorder:
     slip_errors: Callable[[Array, tuple[float, float], Ints], Array]
     still: float
     modes: bool = True
+    motion: bool = True
     clock: Clock = field(default_factory=Clock)
     control_jumps: list[Jump] = field(default_factory=list)
     count: int = 0
@@ -107,13 +108,24 @@ class Recorder:
         # A disabled contact that closes at once is free first, as with events. A slip that has
         # stopped in the step before, and a coupling that opens or closes, precede an impact.
         enabled = (was == OFF_CODE) & (shown != OFF_CODE) & (chunk.struck | (shown != FREE))
-        stopped = hit[:, None] & self.sticks & np.isin(was, SLIPS) & np.isin(last, [*RESTS])
+        stopped = hit[:, None] & self.sticks
+        if self._sticking:
+            stopped &= np.isin(was, SLIPS) & np.isin(last, [*RESTS])
         turned = hit[:, None] & ((was == OPEN_CODE) != (shown == OPEN_CODE))
         early = np.where(enabled, FREE, np.where(shown == OFF_CODE, OFF_CODE, was))
         early = np.where(turned, shown, np.where(stopped, last, early))
         precedes = np.any(enabled | stopped | turned, axis=1)
         first, done, shared = 0, 0, self.modes and bool(chunk.shared.any())
-        for k in np.flatnonzero(self._changed(shown) | hit).tolist():
+        jumps = np.flatnonzero(self._changed(shown) | hit).tolist()
+        if not (self.modes or self.motion) and len(jumps) > 2:
+            k, jumps = jumps[-3], jumps[-2:]
+            between = np.where(precedes[:, None], early, was)
+            changed = np.where(hit, 1, (shown != between).sum(axis=1))
+            self.count += int((changed + (between != was).sum(axis=1))[: k + 1].sum())
+            self.row, self.key, done = shown[k], self._key(shown[k]), int(steps.places[k] + hit[k])
+            self.clock = self._began = steps.at(k, int(hit[k]))
+            self._open, self._size = [], 0
+        for k in jumps:
             if shared:
                 self._note_shared(chunk.shared[first:k])
             first = k + int(hit[k])
@@ -136,13 +148,13 @@ class Recorder:
         """Return the steps (k,) in which `add` will record jumps."""
         return self._changed(self.recorded_modes(chunk)) | np.any(chunk.struck, axis=1)
 
-    def take_finished(self, *, motion: bool, ended: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
-        """Remove finished arcs and jumps; return them if outputs ask for the `motion`.
+    def take_finished(self, *, ended: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
+        """Remove finished arcs and jumps; return them if outputs ask for the motion.
 
         Otherwise return the last arc if the run has `ended`, else nothing.
         """
         finished: tuple[Sequence[Arc], Sequence[Jump]] = (), ()
-        if motion:
+        if self.motion:
             finished = tuple(self.arcs), tuple(self.jumps)
         elif ended and self._arcs:
             finished = (self._maker.arc(self._arcs[-1]),), ()

@@ -139,7 +139,8 @@ class SteppedRun:
             self.system.slips,
             self.system.slip_errors,
             self.setup.residual_slip,
-            records or (watch is not None and watch.events),
+            modes=records or (watch is not None and watch.events),
+            motion=records or (watch is not None and watch.motion),
         )
         self.stops = StopConditions(stepper.stops, self.setup, inputs.controls)
         self.state = self.setup.initial
@@ -368,8 +369,7 @@ class SteppedRun:
         """Pass finished arcs and jumps to the watcher, and drop them if they are not recorded."""
         watch = self.request.outputs
         if self.request.record is not Record.MODES:
-            motion = watch is not None and watch.motion
-            arcs, jumps = self.recorder.take_finished(motion=motion, ended=ended)
+            arcs, jumps = self.recorder.take_finished(ended=ended)
             if watch is not None and (arcs or jumps):
                 watch.add(replace(self._piece, arcs=arcs, jumps=jumps))
 
