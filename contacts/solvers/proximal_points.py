@@ -410,10 +410,10 @@ def solve_by_proximal_points(
     # Status of the last centre.
     last_status, last_edges, has_last = status.copy(), edges.copy(), False
     exact = falls = tolerance <= VERIFIED
-    # Near a solution the status is known: a small compliance solves it in one step.
-    compliance = min(max(lowest, _MIN_COMPLIANCE), _FIRST) if exact else _FIRST
-    # The compliance of the factored equations; whether it may fall at once.
-    factored, leaps = 0.0, exact
+    # If the status is known, a small compliance solves it in one step.
+    compliance = min(max(lowest, _MIN_COMPLIANCE), _REFINING) if exact else _FIRST
+    # The compliance of the factored equations; whether no other than small ones were tried.
+    factored, small = 0.0, exact
     iterations = idle = 0
     most = min(_MAX_ITERATIONS, _MAX_PRODUCTS // count)
     while iterations < most and idle < _IDLE and (lowest > tolerance or falls):
@@ -445,14 +445,13 @@ def solve_by_proximal_points(
                     shift[i, d] = compliance * contacts.own[i, d] * away
             copy_rows(now, centre)
             last_status[:], last_edges[:], has_last = status, edges, True
-            if leaps and taken <= 1 and compliance > _REFINING:
-                compliance = _REFINING
-            elif not fast:
+            if not fast:
                 compliance = max(_FALLS * compliance, _MIN_COMPLIANCE)
         elif compliance >= _LARGEST or lowest <= tolerance:
             break
         else:
-            compliance, leaps = min(_GROWS * compliance, _LARGEST), False
+            compliance = _FIRST if small else min(_GROWS * compliance, _LARGEST)
+            small = False
             copy_rows(centre, now)
             write_velocity_change(contacts, now, rates)
     return lowest, iterations
