@@ -445,7 +445,9 @@ def solve_by_proximal_points(
                     shift[i, d] = compliance * contacts.own[i, d] * away
             copy_rows(now, centre)
             last_status[:], last_edges[:], has_last = status, edges, True
-            if not fast:
+            if small and not fast and lowest > tolerance:
+                compliance, small = _FIRST, False
+            elif not fast:
                 compliance = max(_FALLS * compliance, _MIN_COMPLIANCE)
         elif compliance >= _LARGEST or lowest <= tolerance:
             break
