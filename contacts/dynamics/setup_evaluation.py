@@ -29,7 +29,7 @@ from contacts.dynamics.setup import (
     tolerated,
     write_tolerances,
 )
-from contacts.scene.checks import check_finite, check_physical, limits
+from contacts.scene.checks import finite_checks, limits, physical_checks
 from contacts.scene.couplings import Rolling, coupling_states
 from contacts.scene.lint import lint
 from contacts.scene.regions import states as states_of
@@ -38,7 +38,7 @@ from contacts.solvers.dependence import dependent_rows
 from contacts.states import implied_joints
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.regions import StopCondition
-from statechart.documents.fields import FormulaText
+from statechart.documents.fields import FormulaText, check_all
 from statechart.engines.compiled_flow import KINDS, ModeTable, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -150,16 +150,16 @@ class SceneNumbers:
         values, warnings = self._point_masses(values, further[-len(self.inertias) :])
         initial = further[: -len(self.inertias)]
         if overrides and not self._physical(values, initial):
-            check_physical(self.scene, self.scene.values(overrides))
+            check_all(physical_checks(self.scene), self.scene.values(overrides))
         if not all(map(math.isfinite, initial[: self.scale_tape.size].tolist())):
-            check_finite(self.scene, self.scene.values(overrides))
+            check_all(finite_checks(self.scene), self.scene.values(overrides))
             raise DeclarationProblem("the initial state is not finite", loc=("bodies",))
         values, implied = self._implied(values, initial)
         try:
             scales = self.scale_tape.at(values, initial)
         except DeclarationProblem:
             # Blame a formula that has no finite value first.
-            check_finite(self.scene, self.scene.values(overrides))
+            check_all(finite_checks(self.scene), self.scene.values(overrides))
             raise
         if MASS_UNIT in self.places:
             values = values.copy()

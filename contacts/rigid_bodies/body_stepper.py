@@ -38,7 +38,7 @@ from contacts.rigid_bodies.initial_penetration import check_containers, check_pe
 from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
-from contacts.scene.checks import check_physical
+from contacts.scene.checks import physical_checks
 from contacts.scene.expansion import start_problem
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
@@ -52,6 +52,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, State, stop_conditions
 from statechart.automaton.time_stepper import DEFAULT_IMPULSES
+from statechart.documents.fields import check_all
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
 
@@ -233,7 +234,7 @@ class BodyStepper(Stepper):
         known = self._constants.values(overrides)
         expanded = self._declared.expanded
         if overrides:
-            check_physical(expanded, known)
+            check_all(physical_checks(expanded), known)
         placed = self._bodies.starts.at(values, known)
         links = link_numbers(self._bodies.linked, known)
         bodies = body_numbers(expanded, known, self._owners, links)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations, pairwise, product
+from functools import partial
+from itertools import chain, combinations, groupby, pairwise, product
 from string import digits
 from types import MappingProxyType
 from typing import NamedTuple
@@ -24,10 +25,12 @@ from statechart.documents.declaration import TIME
 from statechart.documents.documented import leaves
 from statechart.documents.fields import (
     FormulaText,
+    ValueCheck,
     check_derived,
     check_named_infinity,
     check_names,
     check_smooth,
+    finite_check,
     has_switch,
     value_of,
 )
@@ -371,69 +374,93 @@ def _friction_limits(
         )
 
 
-def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
-    """Check the `limits` of a scene, in all states that set coefficients; and its polygons."""
-    findings = Findings()
-    wrong: set[Loc] = set()
-    for loc, text, least, most, words, advice, shown, point in limits(scene):
+def physical_checks(scene: SceneFields) -> Iterator[ValueCheck]:
+    """Yield the checks of the `limits` of a scene, and of its polygons."""
+    controlled = scene.controlled
+    for _, found in groupby(limits(scene), key=lambda limit: limit.loc):
+        of_place = (*found,)
+        names = _names_of(limit.text for limit in of_place)
+        for region in {controlled.region_of(limit.text) for limit in of_place} - {None}:
+            for state in controlled.flat[str(region)].states:
+                names |= _names_of(controlled.values(str(region), state).values())
+        yield ValueCheck(names, partial(_check_limits, scene, of_place))
+    for name, body in scene.bodies.items():
+        for place, shape in enumerate(body.shape):
+            if shape.polygon is not None:
+                several = (place,) if len(body.shape) > 1 else ()
+                at = ("bodies", name, "shape", *several, "polygon")
+                yield ValueCheck(
+                    _names_of(chain(*shape.polygon)), partial(_check_corners, shape.polygon, at)
+                )
+
+
+def finite_checks(scene: SceneFields) -> Iterator[ValueCheck]:
+    """Yield the checks that formulas of parameters are finite, and that lines have two ends.
+
+    Formulas with `limits` are finite within them.
+    """
+    limited = {(limit.loc, limit.text) for limit in limits(scene)}
+    for loc, text in scene_formulas(scene):
+        # A start that uses the number of a copy is checked with each copy's own number.
+        if loc[2:3] == ("friction",) or not parse(text).names <= scene.parameters.keys():
+            continue
+        if (loc, text) not in limited:
+            yield finite_check(text, *loc)
+    for name, surface in scene.surfaces.items():
+        for form in ("line", "edge"):
+            if (ends := getattr(surface, form)) is not None:
+                at = ("surfaces", name, form)
+                yield ValueCheck(_names_of(chain(*ends)), partial(_check_ends, ends, at))
+
+
+def _names_of(texts: Iterable[FormulaText]) -> frozenset[str]:
+    return frozenset[str]().union(*(parse(text).names for text in texts))
+
+
+def _check_limits(
+    scene: SceneFields, of_place: Sequence[Limit], values: Mapping[str, float]
+) -> None:
+    """Check the limits at one place, in all states that set coefficients."""
+    for loc, text, least, most, words, advice, shown, point in of_place:
         region = scene.controlled.region_of(text)
         known = {**values, **point}
         for state, state_values in scene.controlled.values_by_state(text, known, Formula.value):
-            with findings:
-                value = value_of(text, state_values, *loc)
-                if least <= value <= most or loc in wrong:
-                    continue
-                wrong.add(loc)
-                if not math.isfinite(value) and not shown:
-                    words = "must be finite, not {:g}"
-                place_text = f" in state {state!r} of {region!r}" if state else ""
-                numbers = [value_of(formula, state_values, *loc) for formula in shown] or [value]
-                raise DeclarationProblem(
-                    words.replace(",", place_text + ",", 1).format(*numbers),
-                    advice=advice.format(value),
-                    loc=loc,
-                )
-    for name, body in scene.bodies.items():
-        for place, shape in enumerate(body.shape):
-            with findings:
-                if shape.polygon is None:
-                    continue
-                several = (place,) if len(body.shape) > 1 else ()
-                at = ("bodies", name, "shape", *several, "polygon")
-                corners = [[parse(text).value(values) for text in c] for c in shape.polygon]
-                for number, axis in product(range(len(corners)), range(2)):
-                    if not math.isfinite(value := corners[number][axis]):
-                        raise DeclarationProblem(
-                            f"must be finite, not {value:g}", loc=(*at, number, axis)
-                        )
-                try:
-                    check_polygon([(x, y) for x, y in corners])
-                except DeclarationProblem as problem:
-                    problem.loc = (*at, *problem.loc)
-                    raise
-    findings.check()
+            value = value_of(text, state_values, *loc)
+            if least <= value <= most:
+                continue
+            if not math.isfinite(value) and not shown:
+                words = "must be finite, not {:g}"
+            place_text = f" in state {state!r} of {region!r}" if state else ""
+            numbers = [value_of(formula, state_values, *loc) for formula in shown] or [value]
+            raise DeclarationProblem(
+                words.replace(",", place_text + ",", 1).format(*numbers),
+                advice=advice.format(value),
+                loc=loc,
+            )
 
 
-def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
-    """Check that formulas of parameters alone are finite, and that lines have two ends."""
-    for loc, text in scene_formulas(scene):
-        # A start that uses the number of a copy is checked with each copy's own number.
-        if loc[2:3] == ("friction",) or not parse(text).names <= values.keys():
-            continue
-        value = value_of(text, values, *loc)
-        if not math.isfinite(value):
-            raise DeclarationProblem(f"must be finite, not {value:g}", loc=loc)
-    for name, surface in scene.surfaces.items():
-        for form in ("line", "edge"):
-            ends = getattr(surface, form)
-            if ends is not None:
-                one, two = ([parse(text).value(values) for text in end] for end in ends)
-                if one == two:
-                    raise DeclarationProblem(
-                        "its two points coincide",
-                        advice="give two points of the line that are apart",
-                        loc=("surfaces", name, form),
-                    )
+def _check_corners(
+    polygon: Sequence[Sequence[FormulaText]], at: Loc, values: Mapping[str, float]
+) -> None:
+    corners = [[parse(text).value(values) for text in corner] for corner in polygon]
+    for number, axis in product(range(len(corners)), range(2)):
+        if not math.isfinite(value := corners[number][axis]):
+            raise DeclarationProblem(f"must be finite, not {value:g}", loc=(*at, number, axis))
+    try:
+        check_polygon([(x, y) for x, y in corners])
+    except DeclarationProblem as problem:
+        problem.loc = (*at, *problem.loc)
+        raise
+
+
+def _check_ends(
+    ends: Sequence[Sequence[FormulaText]], at: Loc, values: Mapping[str, float]
+) -> None:
+    one, two = ([parse(text).value(values) for text in end] for end in ends)
+    if one == two:
+        raise DeclarationProblem(
+            "its two points coincide", advice="give two points of the line that are apart", loc=at
+        )
 
 
 def check_rim(surface: Surface, loc: Loc) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, Self, get_args
 
@@ -12,14 +11,14 @@ from contacts.scene.checks import (
     check_collisions,
     check_copies,
     check_coupled,
-    check_finite,
     check_formulas,
     check_kinks,
     check_led_surfaces,
-    check_physical,
     check_prescribed,
     check_rim,
     check_turns,
+    finite_checks,
+    physical_checks,
 )
 from contacts.scene.controls import Controller
 from contacts.scene.expansion import expansion
@@ -30,9 +29,15 @@ from contacts.scene.regions import BODY_CAUSES, BODY_STATES
 from contacts.states import declared_state, superstates_of
 from statechart.charts.flatten import causes_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
-from statechart.charts.wrapping import check_wrapping, count_periods
+from statechart.charts.wrapping import check_wrapping, count_periods, wrap_checks
 from statechart.documents.declaration import TIME
-from statechart.documents.fields import check_names, check_relation, replace_fields, value_of
+from statechart.documents.fields import (
+    ValueCheck,
+    check_names,
+    check_relation,
+    finite_check,
+    replace_fields,
+)
 from statechart.documents.outputs import check_member
 from statechart.errors import DeclarationProblem, Findings, Loc
 from statechart.formulas.formula import parse
@@ -100,23 +105,16 @@ class Scene(SceneFields):
                 reasons[f"restitution of {name}"] = "it is never free"
         return reasons
 
-    def check_values(self, values: Mapping[str, float]) -> None:
-        """Check that numbers are physical, finite and, of copies, whole, too."""
-        super().check_values(values)
-        # A pin by points has no impacts of its own: its path is smooth.
-        pins = [] if self.collisions else [n for n, x in self.joints.items() if x.rope is None]
-        check_wrapping(self, values, [("joints", name, "to") for name in pins])
-        self.counted(values)
-        changing = {*self.controlled.controller_state, *self.kinematic_names} - {*self.parameters}
-        check_periods(self.regions, self.parameters, changing)
-        check_physical(self, values)
-        check_finite(self, values)
+    def value_checks(self) -> Iterator[ValueCheck]:
+        """Yield the checks that numbers are physical, finite and, of copies, whole, too."""
+        yield from super().value_checks()
+        yield from wrap_checks(self)
+        yield ValueCheck(self.whole, self.counted)
+        yield from physical_checks(self)
+        yield from finite_checks(self)
         for name, region in self.regions.items():
             for variable, text in region.variables.items():
-                loc = ("regions", name, "variables", variable)
-                check_names(parse(text), self.parameters, *loc)
-                if not math.isfinite(value_of(text, values, *loc)):
-                    raise DeclarationProblem("must be finite", loc=loc)
+                yield finite_check(text, "regions", name, "variables", variable)
 
     @model_validator(mode="after")
     def _names_are_distinct(self) -> Self:
@@ -321,6 +319,14 @@ class Scene(SceneFields):
     def _numbers_are_physical(self) -> Self:
         check_turns(self)
         check_kinks(self)
+        # A pin by points has no impacts of its own: its path is smooth.
+        pins = [] if self.collisions else [n for n, x in self.joints.items() if x.rope is None]
+        check_wrapping(self, [("joints", name, "to") for name in pins])
+        changing = {*self.controlled.controller_state, *self.kinematic_names} - {*self.parameters}
+        check_periods(self.regions, self.parameters, changing)
+        for name, region in self.regions.items():
+            for variable, text in region.variables.items():
+                check_names(parse(text), self.parameters, "regions", name, "variables", variable)
         self.check_values(self.values())
         check_collisions(self)
         return self

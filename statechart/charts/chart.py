@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from statechart.charts import transitions
 from statechart.charts.flatten import FlatRegion, causes_of, flatten, timer_dimension
-from statechart.charts.wrapping import STATE, check_wrapping, count_periods
+from statechart.charts.wrapping import STATE, check_wrapping, count_periods, wrap_checks
 from statechart.documents import fields
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.documented import declare
@@ -127,15 +127,13 @@ class Chart(Declaration):
         dimension = timer_dimension(self.flat.values(), name)
         return Quantity(name, dimension) if dimension else super().stated(name)
 
-    def check_values(self, values: Mapping[str, float]) -> None:
-        """Check parameters, initial values and periods of transitions."""
-        super().check_values(values)
-        check_wrapping(self, values)
-        transitions.check_periods(self.regions, self.parameters, self.variables, values)
+    def value_checks(self) -> Iterator[fields.ValueCheck]:
+        """Yield the checks of parameters, initial values and periods of transitions."""
+        yield from super().value_checks()
+        yield from wrap_checks(self)
+        yield from transitions.period_checks(self.regions)
         for name, text in self.variables.items():
-            value = fields.value_of(text, values, "variables", name)
-            if abs(value) == float("inf"):
-                raise DeclarationProblem("must be finite", loc=("variables", name))
+            yield fields.finite_check(text, "variables", name)
 
     @model_validator(mode="after")
     def _variables_have_values(self) -> Self:
@@ -148,6 +146,8 @@ class Chart(Declaration):
                     key=("variables", name),
                     see=() if name == TIME else ("parameters", name),
                 )
+        check_wrapping(self)
+        transitions.check_periods(self.regions, self.parameters, self.variables)
         self.check_values(self.values())
         return self
 

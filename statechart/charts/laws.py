@@ -44,10 +44,10 @@ from statechart.charts.guard_watch import (
     transition_outcomes,
     values_after,
 )
-from statechart.charts.transitions import check_periods
-from statechart.charts.wrapping import check_wrap_periods, wraps_in
+from statechart.charts.transitions import period_checks
+from statechart.charts.wrapping import wrap_checks
 from statechart.documents.declaration import TIME
-from statechart.documents.fields import FiniteText
+from statechart.documents.fields import FiniteText, check_all
 from statechart.errors import DeclarationProblem, NonFinite, StatechartError, Unsupported, Zeno
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
@@ -90,7 +90,7 @@ class _Symbols:
 
     def __init__(self, chart: Chart, declared: Chart) -> None:
         self.chart, self.declared, timers = chart, declared, chart.clocks
-        self.wraps = (*wraps_in(declared),)
+        self.period_checks = (*wrap_checks(declared), *period_checks(declared.regions))
         starts = {**chart.variables, **dict.fromkeys(timers, 0)}
         self.variables = {name: sp.Symbol(f"v{i}", real=True) for i, name in enumerate(starts)}
         self.rates = {name: sp.Symbol(f"r{i}", real=True) for i, name in enumerate(starts)}
@@ -115,9 +115,7 @@ class _Symbols:
         """
         values, initial = self.parameters.values(overrides)
         if overrides:
-            chart, known = self.declared, self.declared.values(overrides)
-            check_wrap_periods(self.wraps, known)
-            check_periods(chart.regions, chart.parameters, chart.variables, known)
+            check_all(self.period_checks, self.declared.values(overrides))
         for name, value in zip(self.variables, initial, strict=True):
             if not np.isfinite(value):
                 raise DeclarationProblem(

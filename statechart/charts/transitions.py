@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar, Literal, Self
 
 from pydantic import StrictBool, model_validator
@@ -314,12 +315,8 @@ def check_periods(
     regions: Mapping[str, BaseRegion],
     known: Collection[str],
     changing: Collection[str],
-    values: Mapping[str, float] | None = None,
 ) -> None:
-    """Check that delays and periods are formulas of parameters, of nothing `changing`.
-
-    With `values` of the parameters they must be positive. Raises `DeclarationProblem`.
-    """
+    """Check that delays and periods are formulas of parameters, of nothing `changing`."""
     for name, region in regions.items():
         for loc, period in periods_in(region, "regions", name):
             for node in names_in(parse(period).root):
@@ -331,11 +328,19 @@ def check_periods(
                         offset=node.offset,
                     )
             fields.check_names(parse(period), known, *loc)
-            if values is None:
-                continue
-            found = fields.value_of(period, values, *loc)
-            if not 0.0 < found < float("inf"):
-                raise DeclarationProblem(PERIOD.format(found), advice=PERIOD_ADVICE, loc=loc)
+
+
+def period_checks(regions: Mapping[str, BaseRegion]) -> Iterator[fields.ValueCheck]:
+    """Yield the checks that delays and periods are positive."""
+    for name, region in regions.items():
+        for loc, period in periods_in(region, "regions", name):
+            yield fields.ValueCheck(parse(period).names, partial(_check_period, loc, period))
+
+
+def _check_period(loc: Loc, period: fields.FormulaText, values: Mapping[str, float]) -> None:
+    found = fields.value_of(period, values, *loc)
+    if not 0.0 < found < float("inf"):
+        raise DeclarationProblem(PERIOD.format(found), advice=PERIOD_ADVICE, loc=loc)
 
 
 def check_listening(

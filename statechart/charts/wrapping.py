@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
@@ -18,7 +19,7 @@ from pydantic import BaseModel
 from statechart.charts.transitions import Transition
 from statechart.documents.declaration import Declaration
 from statechart.documents.documented import leaves
-from statechart.documents.fields import TIME, replace_fields, value_of
+from statechart.documents.fields import TIME, ValueCheck, replace_fields, value_of
 from statechart.errors import DeclarationProblem, FormulaError, Loc
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import Comparison, parse_relation
@@ -167,16 +168,13 @@ def wraps_in(document: Declaration) -> Iterator[tuple[Loc, str, Wrap]]:
             yield loc, text, wrap
 
 
-def check_wrapping(
-    document: Declaration, values: Mapping[str, float], still: Collection[Loc] = ()
-) -> None:
+def check_wrapping(document: Declaration, still: Collection[Loc] = ()) -> None:
     """Check that `mod` and `floor` depend on time and parameters alone, in fields that may jump.
 
     `still` are prefixes of the places of formulas that may not jump. Raises `DeclarationProblem`.
     """
     for loc, text, wrap in wraps_in(document):
         _check_arguments(document, wrap, loc)
-        check_wrap_periods([(loc, text, wrap)], values)
         if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):
             raise DeclarationProblem(
                 f"{wrap.call.function} jumps, and cannot stand in this field",
@@ -239,18 +237,22 @@ def _check_arguments(document: Declaration, wrap: Wrap, loc: Loc) -> None:
         )
 
 
-def check_wrap_periods(wraps: Iterable[tuple[Loc, str, Wrap]], values: Mapping[str, float]) -> None:
-    """Check that the periods of `wraps_in` are positive; raise `DeclarationProblem`."""
-    for loc, _, wrap in wraps:
-        if TIME in parse(wrap.period).names:
-            problem = "changes"
-        else:
-            found = value_of(wrap.period, values, *loc)
-            problem = "" if 0.0 < found < math.inf else f"is {found:g}"
-        if problem:
-            raise DeclarationProblem(
-                f"the period of {wrap.call.function} {problem}",
-                advice=WRAP_ADVICE,
-                loc=loc,
-                offset=wrap.call.offset,
-            )
+def wrap_checks(document: Declaration) -> Iterator[ValueCheck]:
+    """Yield the checks that the periods of `wraps_in` are positive."""
+    for loc, _, wrap in wraps_in(document):
+        yield ValueCheck(parse(wrap.period).names, partial(_check_wrap_period, loc, wrap))
+
+
+def _check_wrap_period(loc: Loc, wrap: Wrap, values: Mapping[str, float]) -> None:
+    if TIME in parse(wrap.period).names:
+        problem = "changes"
+    else:
+        found = value_of(wrap.period, values, *loc)
+        problem = "" if 0.0 < found < math.inf else f"is {found:g}"
+    if problem:
+        raise DeclarationProblem(
+            f"the period of {wrap.call.function} {problem}",
+            advice=WRAP_ADVICE,
+            loc=loc,
+            offset=wrap.call.offset,
+        )

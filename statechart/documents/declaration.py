@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -23,7 +23,9 @@ from statechart.documents.fields import (
     Part,
     Real,
     RelationText,
+    ValueCheck,
     ValueName,
+    check_all,
     check_names,
     check_relation,
     replace_fields,
@@ -39,7 +41,7 @@ from statechart.errors import (
     FormulaError,
     close_matches,
 )
-from statechart.formulas.formula import Constants, parse
+from statechart.formulas.formula import Constants, order_parameters, parse
 from statechart.formulas.tree import Binary, Name, names_in
 
 
@@ -340,13 +342,16 @@ class Declaration(Part):
         found.check()
 
     def check_values(self, values: Mapping[str, float]) -> None:
-        """Check the values of the parameters; kinds of models extend it.
+        """Check the values of the parameters; raise `DeclarationProblem`."""
+        check_all(self.value_checks(), values)
 
-        Raises `DeclarationProblem` at the first value that is not allowed.
-        """
-        if self.stop.time is None:
-            return
-        end = value_of(self.stop.time, values, "stop", "time")
+    def value_checks(self) -> Iterator[ValueCheck]:
+        """Yield the checks of the values of the parameters; kinds of models extend it."""
+        if self.stop.time is not None:
+            yield ValueCheck(parse(self.stop.time).names, self._check_end)
+
+    def _check_end(self, values: Mapping[str, float]) -> None:
+        end = value_of(self.stop.time or 0, values, "stop", "time")
         if not 0.0 <= end < math.inf:
             raise DeclarationProblem(
                 f"must be a finite time from 0 on, not {end:g}",
@@ -357,8 +362,23 @@ class Declaration(Part):
     def check_ranges(self) -> None:
         """Check the model at the ends of every range; the last validator of a kind.
 
-        Raises `DeclarationProblem` at the first end with an invalid model.
+        Raises `DeclarationProblem` at the first end with an invalid model. Only checks that read
+        the parameter, or one that depends on it, are made.
         """
+        if not self.ranges:
+            return
+        constants, base = self.constants(), self.values()
+        uses: dict[str, frozenset[str]] = {}
+        dependent: dict[str, list[str]] = {name: [] for name in base}
+        reading: dict[str, list[Callable[[Mapping[str, float]], object]]] = {n: [] for n in base}
+        for name in order_parameters(constants.formulas):
+            further = frozenset[str]().union(*(uses[n] for n in constants.formulas[name].names))
+            for used in further:
+                dependent[used].append(name)
+            uses[name] = further | {name}
+        for names, check in self.value_checks():
+            for name in frozenset[str]().union(*(uses[n] for n in names & base.keys())):
+                reading[name].append(check)
         for name, ends in self.ranges.items():
             whole = (math.ceil(ends[0]), math.floor(ends[1])) if name in self.whole else ends
             if whole[0] > whole[1]:
@@ -369,7 +389,10 @@ class Declaration(Part):
                 )
             for place, end in enumerate(whole):
                 try:
-                    self.check_values(self.values({name: end}))
+                    values = {**base, name: float(end)}
+                    constants.update(values, dependent[name])
+                    for check in reading[name]:
+                        check(values)
                 except (DeclarationProblem, FormulaError) as error:
                     at: tuple[str | int, ...] = (
                         error.loc
@@ -402,7 +425,7 @@ class Declaration(Part):
             raise error.problem("parameters", error.name) from None
         if self.stop.time is not None:
             check_names(parse(self.stop.time), self.parameters, "stop", "time")
-        Declaration.check_values(self, values)
+        check_all(Declaration.value_checks(self), values)
         return self
 
     @model_validator(mode="after")

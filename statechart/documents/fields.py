@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Annotated, Any, ClassVar, NamedTuple, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from statechart.documents.documented import Documented, own_words
-from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
+from statechart.errors import DeclarationError, DeclarationProblem, Findings, FormulaError
 from statechart.formulas import tree
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.hints import no_name
@@ -243,6 +243,32 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
         return parse(text).value(values)
     except FormulaError as error:
         raise error.problem(*loc) from None
+
+
+class ValueCheck(NamedTuple):
+    """A check of values of parameters: the names that it reads, and a function that raises."""
+
+    names: frozenset[str]
+    check: Callable[[Mapping[str, float]], object]
+
+
+def finite_check(text: FormulaText, *loc: str | int) -> ValueCheck:
+    """Return the check that the value of a formula is finite."""
+
+    def check(values: Mapping[str, float]) -> None:
+        if not math.isfinite(value := value_of(text, values, *loc)):
+            raise DeclarationProblem(f"must be finite, not {value:g}", loc=loc)
+
+    return ValueCheck(parse(text).names, check)
+
+
+def check_all(checks: Iterable[ValueCheck], values: Mapping[str, float]) -> None:
+    """Make checks; raise the first `DeclarationProblem` with the others attached."""
+    found = Findings()
+    for _, check in checks:
+        with found:
+            check(values)
+    found.check()
 
 
 KINKED = ("abs", "sign", "min", "max", "sat")

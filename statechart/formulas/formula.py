@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import graphlib
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -272,10 +272,14 @@ class Constants:
             left = {n: f for n, f in self.formulas.items() if n not in known_names}
             self._orders[known_names] = order_parameters(left, known_names)
         values = {name: parse(value).value({}) for name, value in overrides.items()}
-        for name in self._orders[known_names]:
+        self.update(values, self._orders[known_names])
+        return {name: values[name] for name in self.formulas}
+
+    def update(self, values: dict[str, float], names: Iterable[str]) -> None:
+        """Evaluate parameters in the given order, from the values of those before."""
+        for name in names:
             try:
                 values[name] = self.formulas[name].value(values)
             except FormulaError as error:
                 error.name = name
                 raise
-        return {name: values[name] for name in self.formulas}

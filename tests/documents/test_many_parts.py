@@ -1,4 +1,4 @@
-"""Large documents: validation is linear in their parts, and at most 20 problems are listed."""
+"""Large documents: validation is linear in parts and ranges, and at most 20 problems are listed."""
 
 import cProfile
 
@@ -16,6 +16,7 @@ def _hinged(count: int) -> str:
             "kind: scene",
             "name: hinged",
             f"parameters: {{{', '.join(f'a{i}: 1' for i in numbers)}}}",
+            f"ranges: {{{', '.join(f'a{i}: [0, 2]' for i in numbers)}}}",
             "bodies:",
             *(f"  p{i}: {{mass: 1, inertia: 1, start: {{x: {i}}}}}" for i in numbers),
             "surfaces: {ground: {height: -1}}",
