@@ -181,6 +181,19 @@ def _write_bounded_bias(
 
 
 @kernel
+def _turn_per_fall(numbers: BodyNumbers, j: int) -> float:
+    """Return the largest angular velocity per velocity of free fall that a hinge gives.
+
+    That of a pendulum with radius of gyration k is at most ``1/(2 k)``.
+    """
+    total = 0.0
+    for b in numbers.joints.bodies[j]:
+        if b < len(numbers.inverse) and numbers.inverse[b, 0] > 0.0:
+            total += 0.5 * math.sqrt(numbers.inverse[b, 2] / numbers.inverse[b, 0])
+    return total
+
+
+@kernel
 def _write_rows(
     numbers: BodyNumbers, j: int, mid: Midpoint, warm: WarmStart, place: int, h: float, m: int,
     active: ActiveContacts,
@@ -214,6 +227,8 @@ def _write_rows(
     if lasting and keeps:
         level = gap
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
+    if holds >= TURN:
+        fall *= _turn_per_fall(numbers, j)
     _write_bounded_bias(gap, bend, lasting, level, h, joints.sizes[j, 1], fall, m, active)
 
 

@@ -13,6 +13,7 @@ import sympy as sp
 from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import MAGNITUDES
+from contacts.scene.checks import MAX_SIZE
 from contacts.scene.joints import Path
 from statechart.arrays import EPS, Array, Ints
 from statechart.automaton.margin_derivatives import derivative
@@ -25,8 +26,8 @@ from statechart.kernels.jit import kernel
 _ROUNDING_UNITS = 16.0
 # A turning surface moves a point by at most this multiple of its distance from the pivot.
 _MAX_TURN_MOTION = 2.0
-# Beyond these the squares of lengths, times and rates overflow or underflow.
-_MIN_SIZE, _MAX_SIZE = 1e-100, 1e100
+# Below it the squares of lengths, times and rates underflow.
+_MIN_SIZE = 1e-100
 # The longest duration that gives a length. A later end means "late enough": with T = 1e8 the
 # round-off of g T^2 would hide a fall of 1.
 _LONGEST = 1e4
@@ -74,9 +75,9 @@ class Scales:
 
 def check_range(number: float, quantity: str, loc: tuple[str, ...]) -> None:
     """Raise `DeclarationProblem` if the square of a quantity overflows."""
-    if abs(number) > _MAX_SIZE:
+    if abs(number) > MAX_SIZE:
         raise DeclarationProblem(
-            f"{quantity} must be at most {_MAX_SIZE:g}, not {number:g}".lstrip(),
+            f"{quantity} must be at most {MAX_SIZE:g}, not {number:g}".lstrip(),
             advice="take larger units",
             loc=loc,
         )
@@ -282,7 +283,7 @@ def mass_unit(acceleration: float, force: float) -> float:
 def horizon(numbers: Array, begins: Ints) -> float:
     """Return the duration of a run, between bounds whose squares are finite and positive."""
     duration = abs(numbers[begins[DURATION]])
-    return min(max(duration, _MIN_SIZE), _MAX_SIZE) if duration < math.inf else _MAX_SIZE
+    return min(max(duration, _MIN_SIZE), MAX_SIZE) if duration < math.inf else MAX_SIZE
 
 
 @kernel
@@ -313,7 +314,7 @@ def measure(
     in_range = True
     for i in range(begins[GRAVITY + gravity]):
         if i < places or i >= begins[GRAVITY]:
-            in_range = in_range and abs(numbers[i]) <= _MAX_SIZE
+            in_range = in_range and abs(numbers[i]) <= MAX_SIZE
     duration, levers = horizon(numbers, begins), begins[LEVERS + 1] - begins[LEVERS]
     coordinates = max(largest[PLACES], largest[ACROSS], largest[UPWARD])
     reach = driven_speed = 0.0

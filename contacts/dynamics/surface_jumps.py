@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,19 @@ from statechart.automaton.laws import Flow, roles_in
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode
 
-StateAndTime = tuple[Array, float]
+JUMP_ADVICE = (
+    "set its velocity instead, by a path such as v*(time - t0), or by a variable that flows"
+)
+"""Advice on places that jump."""
+
+
+class ParameterChange(NamedTuple):
+    """A change of parameters at a state: their values before, and the setup after."""
+
+    before: Array  # (p,)
+    setup: SceneSetup
+    state: Array
+    time: float
 
 
 def modes_after_jump(
@@ -69,14 +82,14 @@ def modes_after_jump(
 
 
 def modes_after_change(
-    scene: Scene, setup: SceneSetup, mode: Key, tape: SnapshotTape, conditions: Conditions,
-    before: Array, at: StateAndTime,
-) -> tuple[Key, Bools, Bools]:  # fmt: skip
-    """Return `modes_after_jump` for a change of parameters from the values `before` (p,).
+    scene: Scene, mode: Key, tape: SnapshotTape, conditions: Conditions, change: ParameterChange
+) -> tuple[Key, Bools, Bools]:
+    """Return `modes_after_jump` for a change of parameters.
 
     A contact that the new values switch off separates, wherever its surface moves, and keeps its
     mode. Raises `NoConsistentMode` as that, and if a closed joint opens.
     """
+    before, setup, at = change.before, change.setup, (change.state, change.time)
     old, new = (tape.at(values, *at) for values in (before, setup.values))
     if old.reduction is not None and new.reduction is not None:
         a, b = old.reduction.joints, new.reduction.joints
@@ -117,7 +130,4 @@ def _displacement_error(scene: Scene, contact: str, depth: float) -> NoConsisten
         problem = f"rope {contact!r} jumps to {depth:.3g} below the distance of its ends"
     elif isinstance(surface, Stop):
         problem = f"limit {contact!r} jumps past the angle of its joint"
-    return NoConsistentMode(
-        f"{problem}; set its velocity instead, by a path such as v*(time - t0), or by a variable "
-        "that flows"
-    )
+    return NoConsistentMode(f"{problem}; {JUMP_ADVICE}")

@@ -32,7 +32,7 @@ from contacts.dynamics.starting import (
     hovering_warnings,
     weak_coupling_warnings,
 )
-from contacts.dynamics.surface_jumps import flow_after_move, modes_after_change
+from contacts.dynamics.surface_jumps import ParameterChange, flow_after_move, modes_after_change
 from contacts.event_driven.accumulation import close_immediately
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, choose_at_rest
@@ -301,8 +301,8 @@ class SceneLaws:
             flow = flow._replace(values=values)
         here = at.state, at.clock.high
         target, _, strikes = modes_after_change(
-            self._mechanics.scene, setup, flow.mode, self.tape, self.conditions,
-            before.values, here,
+            self._mechanics.scene, flow.mode, self.tape, self.conditions,
+            ParameterChange(before.values, setup, *here),
         )  # fmt: skip
         # A contact that its surface strikes lifts off at most after its touchdown, which follows.
         modes = zip(flow.mode, target, strikes.tolist(), strict=True)

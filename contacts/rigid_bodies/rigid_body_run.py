@@ -18,6 +18,7 @@ from contacts.collision_detection.body_numbers import (
 from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
 from contacts.collision_detection.surfaces import GRAPH
+from contacts.dynamics.surface_jumps import JUMP_ADVICE
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
 from contacts.rigid_bodies.declared_numbers import (
     implied_remarks,
@@ -536,7 +537,6 @@ class RigidBodyRun(SteppedSystem):
         jumped = self._prescribed.jumped(start, remembered)
         if not jumped or self._prescribed.end is None:
             return
-        advice = "write a path that moves there in a time, or by a variable that has a flow"
         joints = self.numbers.joints
         before, _ = self._joint_openings(state, self._prescribed.end[1])
         open_by, allowed = self._joint_openings(state, self._prescribed.poses(start, remembered))
@@ -546,7 +546,7 @@ class RigidBodyRun(SteppedSystem):
             raise NoConsistentMode(
                 f"the path of {jumped[0]} jumps at t = {start:.6g}, and opens joint "
                 f"{[*self._prescribed.joints][joints.owners[j]]!r} by {open_by[j]:.3g}{unit}; "
-                f"{advice}"
+                f"{JUMP_ADVICE}"
             )
         met = self.detect(state, start, _INSTANT * self._length)
         landed = LANDED * float(self._warm.last_step[2]) + _JUMPED_INTO * self.numbers.sizes
@@ -556,7 +556,7 @@ class RigidBodyRun(SteppedSystem):
             other = met.deepest_of(b, self.numbers.pieces.bodies, self._names, self.surfaces)
             raise NoConsistentMode(
                 f"the path of {jumped[0]} jumps, and body {self._names[b]!r} is "
-                f"{-met.gaps[b]:.3g} deep in {other}; {advice}"
+                f"{-met.gaps[b]:.3g} deep in {other}; {JUMP_ADVICE}"
             )
 
     def _check_forces(self, start: float, h: float, state: Array) -> None:

@@ -261,6 +261,9 @@ _PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
 _MASSES = "must be between 1e-280 and 1e+300, not {:g}"
 _LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
 _HEAVY = 0.0, 1e300, _MASSES, "take larger units"
+MAX_SIZE = 1e100
+"""Beyond it the squares of lengths and rates overflow."""
+
 # Beyond it the solid would be above: degrees instead of radians, or a ceiling, which needs a line.
 _RIGHT_ANGLE = math.nextafter(math.pi / 2, math.inf)
 _INCLINES = (
@@ -272,7 +275,13 @@ _INCLINES = (
 
 
 def limits(scene: SceneFields) -> Iterator[Limit]:
-    """Yield the limits of masses, inertias, friction, restitution, radii, inclines and periods."""
+    """Yield the limits of masses, points, friction, restitution, radii, inclines and periods."""
+    words = f"must be at most {MAX_SIZE:g} in size, not {{:g}}"
+    for section, parts in (("contacts", scene.contacts), ("joints", scene.joints)):
+        for name, part in parts.items():
+            for axis, text in enumerate(part.point.at):
+                at: Loc = (section, name, "point", "at", axis)
+                yield Limit(at, text, -MAX_SIZE, MAX_SIZE, words, "take larger units")
     for name, region in scene.regions.items():
         for loc, period in periods_in(region, "regions", name):
             yield Limit(loc, period, *_POSITIVE[:2], PERIOD, PERIOD_ADVICE)
@@ -280,7 +289,7 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
             words = f"the period of {name.rstrip(digits)} is {{:g}}"
             yield Limit(count.loc, count.period, *_POSITIVE[:2], words, WRAP_ADVICE)
     for name, body in scene.bodies.items():
-        at: Loc = ("bodies", name)
+        at = ("bodies", name)
         if not body.prescribed:
             yield Limit((*at, "mass"), body.mass, *_POSITIVE)
             yield Limit((*at, "mass"), body.mass, *_LIGHT)

@@ -362,7 +362,7 @@ def _nearly_meet(scene: SceneFields) -> bool:
 
 
 def _impact_laws_agree(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
-    """Return whether all impact laws agree: no friction, or a free particle."""
+    """Return whether all impact laws agree: no friction, or a free particle or centred disc."""
     if contact.frictionless:
         return True
     declared = contact.friction
@@ -377,4 +377,8 @@ def _impact_laws_agree(scene: SceneFields, contact: Contact, values: Mapping[str
         end.body == name for joint in scene.joints.values() for end in joint.ends.values()
     )
     fixed = scene.surfaces[contact.surface].body is None
-    return body.inertia is None and body.position is None and fixed and not jointed
+    # Its normal impulse does not turn it, and friction does not lift it.
+    centred = contact.radius is not None and contact.rolling_resistance is None
+    centred = centred and all(parse(text).value(values) == 0.0 for text in contact.point.at)
+    free = (body.inertia is None or centred) and body.position is None
+    return free and fixed and not jointed

@@ -23,7 +23,7 @@ from contacts.dynamics.starting import (
     check_start,
     hovering_warnings,
 )
-from contacts.dynamics.surface_jumps import modes_after_change, modes_after_jump
+from contacts.dynamics.surface_jumps import ParameterChange, modes_after_change, modes_after_jump
 from contacts.scene.lint import NEARLY_MEETING, goes_off_warning, stays_off_warning
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent_rows
@@ -207,10 +207,8 @@ class SteppedScene(SteppedSystem):
         a surface jumps into a point, or a joint opens.
         """
         setup, tape = self._numbers.at(values, RELATIVE, stepped=True), self._tapes.snapshots
-        mode, at = self._mode, (state, time)
-        jump = modes_after_change(
-            self._source.scene, setup, mode, tape, self._numbers.conditions, self._values, at
-        )
+        mode, change = self._mode, ParameterChange(self._values, setup, state, time)
+        jump = modes_after_change(self._source.scene, mode, tape, self._numbers.conditions, change)
         self._values = setup.values
         self._use(self._source, setup.contacts)
         switched, strikes = self._move(mode, *jump)

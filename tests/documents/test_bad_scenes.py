@@ -87,6 +87,13 @@ def test_range_ends_are_valid_models(ranges: str, words: str) -> None:
     assert "narrow the range to values of valid models" in str(error)
 
 
+@pytest.mark.parametrize("size", ["1e300", "-2e100"])
+def test_a_point_too_far_for_floats_is_reported_at_its_place(size: str) -> None:
+    error = refused(("at: [0, -0.5]", f"at: [0, @{size}]"))
+    words = f"contacts.tip.point.at.1: must be at most 1e+100 in size, not {float(size):g}; take"
+    assert words in str(error)
+
+
 def test_an_error_in_a_list_has_the_place_of_the_item() -> None:
     text = SCENE.replace("mass: m", "mass: m, shape: {polygon: [[-e, 0], [e, 0], [0, 1]]}")
     with pytest.raises(

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
+from contacts.testing.symmetry import rescaled
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
@@ -601,3 +602,15 @@ settings: {engine: impulse, step: 1e-3}
     assert jump.cause == "enable"
     assert jump.joint_impulse["latch.X"] == pytest.approx(-6.0, rel=1e-3)
     assert jump.joint_impulse["latch.Y"] == pytest.approx(2.0 * (-0.2 * w - 1.0), rel=1e-3)
+
+
+def test_other_units_give_the_same_rebounds_at_a_limit():
+    """Angular velocities at limits are not compared with velocities, whose unit has a length."""
+    held = "{point: {body: bar, at: [-l/2, 0]}, to: [0, 0], limits: [-0.3, 1], restitution: 0.5}"
+    text = ONE.format(joint=held, end=1, outputs="  a: {value: bar.angle}").replace(
+        "x: 0,", "x: 0.5,"
+    )
+    declared = interpret(read_text(text))
+    changed, reading = rescaled(declared)
+    one, other = (Runner(model).run().trace for model in (declared, changed))
+    assert other.final * reading.factors == pytest.approx(one.final, abs=1e-9)

@@ -55,6 +55,30 @@ def test_surfaces_that_a_disc_cannot_touch_are_reported(
     assert reported in str(caught.value)
 
 
+@pytest.mark.parametrize("at", ["[0, 0]", "[0.05, 0]"])
+def test_only_discs_off_their_centre_have_impacts_that_depend_on_the_law(at: str) -> None:
+    text = RING.replace("SURFACE", "ring: {height: 0}").replace("RADIUS", "r")
+    changes = {
+        "{y: r - R, dx: v0, dangle: -v0/r}": "{y: 1, dx: 0.5}",
+        "{body: ball}": f"{{body: ball, at: {at}}}",
+        "inf, restitution: 0": "0.2, restitution: 0.5, impact: LAW",
+        "time: 2": "time: 0.6",
+    }
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    finals = []
+    for law in ("stronge", "moreau"):
+        declared = interpret(read_text(text.replace("LAW", law)))
+        finals.append(statechart.run(declared).trace.final)
+    stepped = interpret(read_text(text.replace("LAW", "stronge")))
+    warned = "Moreau's law" in " ".join(
+        statechart.run(stepped, engine="impulse", step=1e-3).trace.warnings
+    )
+    assert warned == (at != "[0, 0]")
+    assert (finals[0] == pytest.approx(finals[1], abs=1e-9)) != warned
+
+
 KERB = """
 kind: scene
 name: kerb
