@@ -430,7 +430,7 @@ def approach(
     for step in steps:
         result = run("impulse", step)
         errors.append(distance(exact, result))
-        kind = "warned" if result.warnings else "wrong"
+        kind = "warned" if exact.warnings or result.warnings else "wrong"
         other_law = any("Moreau's law instead" in warning for warning in result.warnings)
         if other_law or errors[-1] <= max(NEAR, min(0.3, 0.5 * min(errors[:-1], default=0.0))):
             return "right", ""

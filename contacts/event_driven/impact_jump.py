@@ -58,7 +58,7 @@ def uncertainty_at(
     Returns None if a mode has been chosen since.
     """
     at, names = landing.at, [law.name for law in landing.at.setup.contacts]
-    if not at.fired and not at.flow.near_bound:
+    if not at.fired and at.flow.terms is None and not at.flow.near_bound:
         return None
     around = hidden_at(tape, at.setup.values, at.clock.high, at.flow.mode)
     certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving

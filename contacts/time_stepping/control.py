@@ -7,10 +7,10 @@ Steps are taken in chunks under the present states; those beyond a transition ar
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain, product
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -235,26 +235,28 @@ class StepControl:
     def _warn_of_left_out(self, jumps: Sequence[Jump], end: StepEnd) -> None:
         """Warn if transitions wait for events of these jumps that steps leave out."""
         for jump in jumps:
-            place = self._bouncing.get(jump.region)
-            if place is None or jump.impulse or jump.target[place] in OPEN:
-                continue
-            # A contact with restitution closes without an impact in its last bounce.
-            if jump.source[place] in OPEN:
-                self._warn_of(
-                    jump,
-                    f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step of "
-                    f"{end.h:g} and are left out, but {{}} waits for one; use a shorter step",
-                    end,
-                )
-        for jump, (name, place) in product(jumps, self._couplings.items()):
-            if jump.impulse and jump.source[place] == jump.target[place] == "locked":
+            impulses = jump.impulse
+            if jump.cause == "touchdown" and not (impulses or jump.region in self._mechanics.pads):
+                # A slow contact closes without an impact, one with restitution in its last bounce.
+                impulses = {jump.region: (1.0, 0.0)}
+                if jump.region in self._bouncing:
+                    self._warn_of(
+                        jump,
+                        f"{jump.region}: from t = {jump.t:.6g} on bounces are shorter than a step "
+                        f"of {end.h:g} and are left out, but {{}} waits for one; use a shorter "
+                        "step",
+                        end,
+                    )
+            for name, place in self._couplings.items() if impulses else ():
+                if not jump.source[place] == jump.target[place] == "locked":
+                    continue
                 why = (
                     f"{name}: the impact at t = {jump.t:.6g} may make it slip for less "
                     f"than a step of {end.h:g}, and {{}} waits for that; use a shorter step"
                 )
                 for cause in ("slip", "lock"):
                     event = _event(jump, name, cause)
-                    if self._waiting(event, end) and self._strikes_coupling(jump, place):
+                    if self._waiting(event, end) and self._strikes(jump, impulses, place):
                         self._warn_of(event, why, end)
 
     def _warn_between(self, between: Sequence[Ints], recorder: Recorder, end: StepEnd) -> None:
@@ -295,11 +297,11 @@ class StepControl:
         firing = self._queues.first(self.states, pending, (), holding)
         return "" if firing is None else f"{self._states.names[firing.place]}.{firing.taken.name}"
 
-    def _strikes_coupling(self, jump: Jump, place: int) -> bool:
-        """Return whether the impulses of contacts in a jump alone would make a coupling slip."""
+    def _strikes(self, jump: Jump, by: Mapping[str, tuple[float, float]], place: int) -> bool:
+        """Return whether impulses of contacts at a jump alone would make a coupling slip."""
         laws, first = self._setup.contacts, len(jump.source) - len(self.states)
         snapshot = self._snapshots(jump.source[first:]).at(self._setup.values, jump.before, jump.t)
-        impulses = np.array([jump.impulse.get(law.name, (0.0, 0.0)) for law in laws])
+        impulses = np.array([by.get(law.name, (0.0, 0.0)) for law in laws])
         change = snapshot.jacobians[place, 1] @ _velocity_change(snapshot, impulses)
         return bool(abs(change) > self._setup.slip_tolerance)
 

@@ -400,6 +400,13 @@ class Execution:
         if graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.6g}"] = None
+        if margin.kind in ("force", "hold") and not graze:
+            value = compiled.guards.values(self.state, self.setup.values, self.clock.high)[guard]
+            if -value > _MAX_WIDENING * self.setup.tolerances[margin.kind]:
+                self.warnings[
+                    f"{margin.name} is known to {-value:.2g} only where it falls at "
+                    f"t = {self.clock.high:.6g}: nearly dependent constraints magnify round-off"
+                ] = None
         if stops:
             taped = self.modes.taped(self.flow.moving, self.zeros)
             at, laws = self._instant(margin.name), self.automaton.laws_of_events

@@ -387,10 +387,17 @@ def test_steps_warn_of_a_slip_shorter_than_a_step_that_a_controller_waits_for() 
     assert not any("brake: the impact at" in warning for warning in fine.warnings)
 
 
+@pytest.mark.parametrize(("drop", "restitution"), [(0.4, 0.0), (1e-5, 0.0), (1e-5, 0.2)])
 @pytest.mark.parametrize("struck", [True, False])
-def test_steps_warn_of_impacts_at_the_bodies_of_a_locked_coupling_only(struck: bool) -> None:
-    """A ball falls on the beam of a brake, or on the world beside it."""
+def test_steps_warn_of_impacts_at_the_bodies_of_a_locked_coupling_only(
+    struck: bool, drop: float, restitution: float
+) -> None:
+    """A ball falls on the beam of a brake, or on the world beside it.
+
+    From 1e-5 it closes without an impulse by steps.
+    """
     text = BEAM if struck else BEAM.replace(", body: beam}", "}")
+    text = text.replace("restitution: 0", f"restitution: {restitution}")
     watch = """regions:
   watch:
     initial: rests
@@ -398,8 +405,9 @@ def test_steps_warn_of_impacts_at_the_bodies_of_a_locked_coupling_only(struck: b
     transitions: [{name: ring, from: rests, to: rings, on: brake.slip}]
 """
     result = statechart.run(
-        read_text(text + watch), engine="impulse", step=1e-3, parameters={"T": 1e4}
+        read_text(text + watch), engine="impulse", step=1e-3, parameters={"T": 1e4, "drop": drop}
     )
+    assert bool(result.trace.jumps[0].impulse) == (drop == 0.4)
     assert [jump.cause for jump in result.trace.jumps][:1] == ["touchdown"]
     assert sum("brake: the impact at" in warning for warning in result.warnings) == struck
 

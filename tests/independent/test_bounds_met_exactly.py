@@ -81,6 +81,38 @@ def test_a_block_that_stops_at_the_friction_limit_sticks(
     assert len(reported) == len(result.trace.regions)
 
 
+# Its weight and friction cancel; drag of 20 m v stops it after v/20 = 0.05, in infinite time.
+_CREEPS = """
+kind: scene
+name: creeps
+parameters: {slope: 0.3}
+gravity: 10
+surfaces: {floor: {incline: -slope}}
+bodies:
+  b: {mass: 1, start: {dx: cos(slope), dy: -sin(slope)}}
+  load: {mass: 1, start: {y: 1}}
+contacts: {c: {point: {body: b}, surface: floor, friction: tan(slope), restitution: 0}}
+joints: {rail: {point: {body: load}, to: {y: 1}}}
+forces:
+  drag: {body: b, force: ["-20*b.dx", "-20*b.dy"]}
+  pull: {body: load, force: ["sat(2*sin(5*time), -1, 1) + b.x", 0]}
+outputs: {x: {value: b.x/cos(slope)}}
+stop: {time: 3}
+"""
+
+
+def test_a_block_whose_slip_fades_at_the_friction_limit_sticks_where_forces_have_kinks(
+    engine: str,
+) -> None:
+    result = statechart.run(interpret(read_text(_CREEPS)), engine=engine)
+    assert result.outputs["x"] == pytest.approx(0.05, abs=1e-12)
+    ((kink, cause),) = [(jump.t, jump.cause) for jump in result.trace.jumps]
+    assert cause == "stick"
+    assert abs(sin(5 * kink)) == pytest.approx(0.5, abs=1e-9)
+    (warning,) = result.warnings
+    assert warning.startswith("c comes to rest with its friction at the bound")
+
+
 def _on(t: float) -> float:
     """Return where it is that slips on from the middle between a spring and friction."""
     return REST + 0.3 * (t - sin(W * t) / W)
