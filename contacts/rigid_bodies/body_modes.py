@@ -193,8 +193,10 @@ def settle_bodies(
         if counts[b] > 0:
             mode = _body_mode(numbers, warm, space, rates, count, b, k, chunk)
         lands = warm.modes[b, 0] != FREE and not chunk.struck[k, b]
-        if lands and _hovers(warm, space, rates, b, chunk.h, mode == FREE):
-            mode, warm.modes[b, 1] = warm.modes[b, 0], HOVERS
+        alone = mode == FREE or chunk.codes[k, b] == FREE
+        if lands and _hovers(warm, space, rates, b, chunk.h, alone):
+            mode = warm.modes[b, 0] if mode == FREE else mode
+            warm.modes[b, 1] = HOVERS
         chunk.modes[k, b] = mode
 
 
