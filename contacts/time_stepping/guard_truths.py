@@ -298,8 +298,8 @@ class StepTruths:
         )
         struck = last.struck[-1].any()
         # Part of the step that may follow the jump: all of it, if no margin falls to its bound.
-        falls_at = (first >= 0.0) & (now + AT_END * last.h * fall < 0.0)
-        crossed = (first / (first - now))[falls_at & ~struck]
+        reach = (first >= 0.0) & (now + AT_END * last.h * fall < 0.0) & ~struck
+        crossed = first[reach] / (first - now)[reach]
         part = max(1.0 - _REACH - crossed.min(), 0.0) if crossed.size else 1.0
         early = ends.margins - part * last.h * ends.rates < -ends.zero
         jumps = early & (np.abs(ends.margins - now) > ends.zero)

@@ -144,10 +144,13 @@ outputs: {strikes: {value: time, at: each block.impact}}
 """
 
 
+@pytest.mark.parametrize("fixed", [False, True])
 @pytest.mark.parametrize(
     ("lean", "step"), [(0.1, 1.25e-4), (0.15, 7e-4), (0.07, 5e-4), (0.07, 2.5e-4)]
 )
-def test_rocking_block_strikes_once_in_each_half_swing(lean: float, step: float) -> None:
+def test_rocking_block_strikes_once_in_each_half_swing(
+    lean: float, step: float, *, fixed: bool
+) -> None:
     # Energy of the swing about a corner, and Housner's ratio of rates at a strike.
     b, h = 0.1, 0.4
     alpha, p2 = math.atan2(b, h), 0.75 * 9.81 / math.hypot(b, h)
@@ -170,5 +173,9 @@ def test_rocking_block_strikes_once_in_each_half_swing(lean: float, step: float)
         if strikes[-1] + 2.0 * quarter(swing) > 1.0:
             break
         strikes.append(strikes[-1] + 2.0 * quarter(swing))
-    found = Runner(interpret(read_text(ROCKING)), step=step).run({"lean": lean}).outputs["strikes"]
-    assert found == pytest.approx(strikes, abs=16 * step)
+    slab = "{fixed: true, shape: {polygon: [[-2, -0.5], [2, -0.5], [2, 0], [-2, 0]]}}"
+    text = ROCKING.replace("bodies:\n", f"bodies:\n  slab: {slab}\n", 1) if fixed else ROCKING
+    text = text.replace("[block], surfaces: [floor]", "[block, slab]") if fixed else text
+    run = Runner(interpret(read_text(text)), step=step).run({"lean": lean})
+    assert {jump.cause for jump in run.trace.jumps[1:]} == {"impact"}
+    assert run.outputs["strikes"] == pytest.approx(strikes, abs=16 * step)
