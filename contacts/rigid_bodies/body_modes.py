@@ -1,9 +1,9 @@
 """Modes of bodies with shapes where they change, from the acceleration complementarity problem.
 
 The method is that of `contacts.time_stepping.settling`, for free bodies that touch only straight
-surfaces at rest. The gap acceleration at a corner is ``J M^-1 f - w^2 r n``, with the arm r from
-the centre of mass to the corner, or to the centre of a rolling disc. All other bodies have the
-modes of their impulses.
+surfaces at rest and faces of fixed polygons. The gap acceleration at a corner is
+``J M^-1 f - w^2 r n``, with the arm r from the centre of mass to the corner, or to the centre of a
+rolling disc. All other bodies have the modes of their impulses.
 """
 
 from __future__ import annotations
@@ -53,16 +53,41 @@ def unsettle_bodies(warm: WarmStart, k: int, chunk: Chunk) -> bool:
 
 @kernel
 def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
-    """Return whether a contact is on a straight surface at rest."""
-    surfaces = numbers.surfaces
-    s = split_key(numbers, key)[1] - len(numbers.pieces.sizes)
-    if s < 0 or surfaces.carriers[s] >= 0:
+    """Return whether a contact is on a straight surface at rest, or a face of a fixed polygon."""
+    pieces, surfaces = numbers.pieces, numbers.surfaces
+    _, q = split_key(numbers, key)
+    s = q - len(pieces.sizes)
+    if s < 0:
+        return _is_fixed_face(numbers, q, normal)
+    if surfaces.carriers[s] >= 0:
         return False
     if surfaces.kinds[s] != PLATE:
         return surfaces.kinds[s] == LINE
     a, b, c, d = surfaces.numbers[s]
-    x, y = c - a, d - b
+    return _is_normal(normal, c - a, d - b)
+
+
+@kernel
+def _is_normal(normal: Array, x: float, y: float) -> bool:
+    """Return whether a normal is that of a face along (x, y)."""
     return abs(normal[0] * x + normal[1] * y) <= _PARALLEL * (abs(x) + abs(y))
+
+
+@kernel
+def _is_fixed_face(numbers: BodyNumbers, q: int, normal: Array) -> bool:
+    """Return whether piece q is a polygon of a fixed body, and a normal that of a face."""
+    pieces = numbers.pieces
+    at = pieces.bodies[q] - (len(numbers.sizes) - len(numbers.fixed))
+    if at < 0 or pieces.radii[q] > 0.0:
+        return False
+    c, s = math.cos(numbers.fixed[at, 2]), math.sin(numbers.fixed[at, 2])
+    last = pieces.vertices[pieces.firsts[q + 1] - 1]
+    for i in range(pieces.firsts[q], pieces.firsts[q + 1]):
+        x, y = pieces.vertices[i, 0] - last[0], pieces.vertices[i, 1] - last[1]
+        if _is_normal(normal, c * x - s * y, s * x + c * y):
+            return True
+        last = pieces.vertices[i]
+    return False
 
 
 @kernel
@@ -193,8 +218,10 @@ def settle_bodies(
         if counts[b] > 0:
             mode = _body_mode(numbers, warm, space, rates, count, b, k, chunk)
         lands = warm.modes[b, 0] != FREE and not chunk.struck[k, b]
-        if lands and _hovers(warm, space, rates, b, chunk.h, mode == FREE):
-            mode, warm.modes[b, 1] = warm.modes[b, 0], HOVERS
+        alone = mode == FREE or chunk.codes[k, b] == FREE
+        if lands and _hovers(warm, space, rates, b, chunk.h, alone):
+            mode = warm.modes[b, 0] if mode == FREE else mode
+            warm.modes[b, 1] = HOVERS
         chunk.modes[k, b] = mode
 
 

@@ -253,7 +253,7 @@ class StepTruths:
         back = ends.true & self._back
         early = ends.margins - end.h * ends.rates < -ends.zero
         if end.after_transitions and end.last is not None and (ends.true | early).any():
-            back |= ends.true & self._before_transitions(end, end.last, ends, early)
+            back |= ends.true & self._before_transitions(end, end.last, ends)
         if back.any():
             # With accelerations that have reversed, too.
             rates = self.table(np.array([end.time]), end.state[None], end.solved[None], 1)[..., 0]
@@ -286,16 +286,22 @@ class StepTruths:
         decided = (margins > least) | ((margins < -least) & np.isfinite(rates))
         return not bool(decided.all())
 
-    def _before_transitions(self, end: StepEnd, last: Chunk, ends: _Ends, early: Bools) -> Bools:
+    def _before_transitions(self, end: StepEnd, last: Chunk, ends: _Ends) -> Bools:
         """Return the atoms (1, a) that fell to their bound in the step before transitions.
 
         In a step with an impact these fell before it; atoms that jump at the impact do not fall.
-        Warns of guards that are true if atoms jump within the step, which are true `early` then.
+        Warns of guards that are true if atoms jump within the step, where others become true.
         """
         times, solved = end.time - last.h * np.array([1, 0]), np.tile(last.solved[-1], (2, 1))
         (first, now), (fall, _) = (
             self.table(times, last.states[-2:], solved, order)[..., 0] for order in (0, 1)
         )
+        struck = last.struck[-1].any()
+        # Part of the step that may follow the jump: all of it, if no margin falls to its bound.
+        reach = (first >= 0.0) & (now + AT_END * last.h * fall < 0.0) & ~struck
+        crossed = first[reach] / (first - now)[reach]
+        part = max(1.0 - _REACH - crossed.min(), 0.0) if crossed.size else 1.0
+        early = ends.margins - part * last.h * ends.rates < -ends.zero
         jumps = early & (np.abs(ends.margins - now) > ends.zero)
         rows, codes = np.vstack([now < 0.0, ends.true, ends.true | jumps]), end.codes[None]
         before, after, within = self._guards(rows, np.tile(codes, (3, 1)))
@@ -303,7 +309,7 @@ class StepTruths:
             name = self._watch.guards[i].name
             self.passed.setdefault(name, passed_warning(name, float(times[0]), last.h))
         # A contact may have touched up to half a step before this one.
-        falls: Bools = (first >= last.h * fall * last.struck[-1].any()) & (fall < 0.0)
+        falls: Bools = (first >= last.h * fall * struck) & (fall < 0.0)
         return falls & (ends.margins - first >= 2.0 * last.h * fall)
 
     def true_at(self, time: float, state: Array, solved: Array, h: float, codes: Ints) -> Bools:

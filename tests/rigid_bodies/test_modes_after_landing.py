@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
+from scipy.integrate import quad
 
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
@@ -120,3 +123,59 @@ def test_corner_that_falls_over_its_landing_gap_strikes_once(step: float) -> Non
     # Own integration of the angle, and McGeer's ratio of rates at a strike.
     found = Runner(interpret(read_text(WHEEL)), step=step).run({}).outputs["strikes"]
     assert found == pytest.approx([0.7331569, 1.4295423], abs=4 * step)
+
+
+ROCKING = """
+kind: scene
+name: rocking
+parameters: {b: 0.1, h: 0.4, lean: 0.1, R: sqrt(b**2 + h**2), a: "atan2(b, h) - lean"}
+gravity: 9.81
+bodies:
+  block:
+    mass: 1
+    inertia: R**2/3
+    shape: {polygon: [[-b, -h], [b, -h], [b, h], [-b, h]]}
+    start: {x: b - R*sin(a), y: R*cos(a), angle: -lean}
+surfaces: {floor: {height: 0}}
+collisions: {all: {bodies: [block], surfaces: [floor], friction: 5, restitution: 0}}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-3}
+outputs: {strikes: {value: time, at: each block.impact}}
+"""
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+@pytest.mark.parametrize(
+    ("lean", "step"), [(0.1, 1.25e-4), (0.15, 7e-4), (0.07, 5e-4), (0.07, 2.5e-4)]
+)
+def test_rocking_block_strikes_once_in_each_half_swing(
+    lean: float, step: float, *, fixed: bool
+) -> None:
+    # Energy of the swing about a corner, and Housner's ratio of rates at a strike.
+    b, h = 0.1, 0.4
+    alpha, p2 = math.atan2(b, h), 0.75 * 9.81 / math.hypot(b, h)
+
+    def quarter(top: float) -> float:
+        """Time from rest at an angle to the strike; u**2 is the angle fallen."""
+
+        def rate(u: float) -> float:
+            fallen = math.cos(alpha - top) - math.cos(alpha - top + u * u)
+            return 2.0 * u / math.sqrt(2.0 * p2 * fallen)
+
+        return float(quad(rate, 1e-9, math.sqrt(top), epsabs=1e-10)[0])
+
+    strikes, swing = [quarter(lean)], lean
+    while True:
+        energy = (1.0 - 1.5 * math.sin(alpha) ** 2) ** 2 * (
+            math.cos(alpha - swing) - math.cos(alpha)
+        )
+        swing = alpha - math.acos(math.cos(alpha) + energy)
+        if strikes[-1] + 2.0 * quarter(swing) > 1.0:
+            break
+        strikes.append(strikes[-1] + 2.0 * quarter(swing))
+    slab = "{fixed: true, shape: {polygon: [[-2, -0.5], [2, -0.5], [2, 0], [-2, 0]]}}"
+    text = ROCKING.replace("bodies:\n", f"bodies:\n  slab: {slab}\n", 1) if fixed else ROCKING
+    text = text.replace("[block], surfaces: [floor]", "[block, slab]") if fixed else text
+    run = Runner(interpret(read_text(text)), step=step).run({"lean": lean})
+    assert {jump.cause for jump in run.trace.jumps[1:]} == {"impact"}
+    assert run.outputs["strikes"] == pytest.approx(strikes, abs=16 * step)

@@ -855,6 +855,33 @@ stop: {{time: 0.8}}
     )
 
 
+@pytest.mark.parametrize("step", [1e-3, 7e-4])
+@pytest.mark.parametrize("place", ["time", "b.x", "1 - b.x**2"])
+def test_steps_do_not_warn_where_a_transition_moves_the_guard_that_it_crosses(
+    place: str, step: float
+) -> None:
+    # A place is counted up where it reaches n + 1, down where it falls below n.
+    text = f"""
+kind: scene
+name: counts
+bodies: {{b: {{mass: 1, start: {{dx: 0.95}}}}}}
+regions:
+  r:
+    variables: {{n: {3 if "1" in place else 0}}}
+    initial: on
+    states: {{on: {{}}}}
+    transitions:
+      - {{name: up, from: on, guard: {place} >= (n + 1)*T, updates: {{n: n + 1}}}}
+      - {{name: down, from: on, guard: {place} < n*T, updates: {{n: n - 1}}}}
+parameters: {{T: 0.3}}
+stop: {{time: 1}}
+"""
+    run = by_steps(interpret(read_text(text)), step)
+    counted = ["down"] * 3 if "1" in place else ["up"] * 3
+    assert [jump.cause for jump in run.trace.jumps] == counted
+    assert not run.warnings
+
+
 @pytest.mark.parametrize("guard", ["abs(b.dy) <= 0", "b.dy <= 0 and b.dy >= 0"])
 @pytest.mark.parametrize(("speed", "start"), [(4.003, "0.4"), (4.0, "0.399")])
 def test_steps_warn_of_relations_that_are_true_at_an_instant_only(
