@@ -118,6 +118,7 @@ class Recorder:
         first, done, shared = 0, 0, self.modes and bool(chunk.shared.any())
         jumps = np.flatnonzero(self._changed(shown) | hit).tolist()
         if not (self.modes or self.motion) and len(jumps) > 2:
+            # Count the jumps before the last two arcs.
             k, jumps = jumps[-3], jumps[-2:]
             between = np.where(precedes[:, None], early, was)
             changed = np.where(hit, 1, (shown != between).sum(axis=1))

@@ -140,7 +140,7 @@ class SteppedRun:
             self.system.slip_errors,
             self.setup.residual_slip,
             modes=records or (watch is not None and watch.events),
-            motion=records or (watch is not None and watch.motion),
+            motion=watch is not None and watch.motion,
         )
         self.stops = StopConditions(stepper.stops, self.setup, inputs.controls)
         self.state = self.setup.initial
