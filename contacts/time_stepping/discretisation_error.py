@@ -1,8 +1,8 @@
 """First-order discretisation error of a run, relative to its motion.
 
-Sources: the force quadrature error, impacts at mid-step instead of at the touch, reversals and ends
-of slips within a step, and the phase error of springs, compared with the largest speed and the path
-length of each coordinate.
+Sources: the force quadrature error, impacts that are at mid-step instead of at the touch, reversals
+and ends of slips within a step, and the phase error of springs, compared with the largest speed and
+the path length of each coordinate.
 """
 
 from __future__ import annotations
@@ -116,7 +116,8 @@ class DiscretisationError:
         self._drift, self._drifted = drift[-1], np.maximum(self._drifted, np.abs(drift).max(axis=0))
         struck: Bools = np.any(chunk.struck, axis=1)
         times = start + h * np.nonzero(struck)[0]
-        for k in np.nonzero(struck)[0].tolist():
+        # Landings are solved where they touch.
+        for k in np.nonzero(struck & (chunk.impact_delay == 0.0))[0].tolist():
             self._velocity = np.maximum(self._velocity, _off(now, chunk, start, k))
         spans = np.concatenate([[self._hit], times, [start + h * len(struck)]])
         self._hit = float(spans[-2])

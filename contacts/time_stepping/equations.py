@@ -198,14 +198,15 @@ def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
 
 @kernel
 def factor_equations(
-    numbers: Array, n: int, h: float, damped: bool, held: Ints, joints: int, light: bool
+    numbers: Array, n: int, h: float, damping: float, held: Ints, joints: int, light: bool
 ) -> tuple[bool, Array, Ints, Array]:
     """Return (regular, factors, order, right side) of the equations without free contacts.
 
     `numbers` (m,): see `contacts.time_stepping.scene_step.step_scene`; n coordinates; `held` (c,);
-    `light`: give coordinates without inertia a small one.
+    `damping`: how long forces act at the new rates, 0 if they do not depend on rates; `light`: give
+    coordinates without inertia a small one.
     """
-    first = n * n + n + (n * n if damped else 0)
+    first = n * n + n + (n * n if damping > 0.0 else 0)
     size = n + joints
     for i in range(len(held)):
         size += held[i]
@@ -217,9 +218,9 @@ def factor_equations(
             matrix[i, j] = numbers[n * i + j]
         if matrix[i, i] < lightest[i]:
             matrix[i, i] = lightest[i]
-        if damped:
+        if damping > 0.0:
             for j in range(n):
-                matrix[i, j] -= 0.5 * h * numbers[n * n + n + n * i + j]
+                matrix[i, j] -= damping * numbers[n * n + n + n * i + j]
     at = n
     for i in range(len(held)):
         row = first + (2 * n + CONTACT) * i

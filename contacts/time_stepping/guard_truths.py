@@ -11,9 +11,8 @@ guard that is true within a step, at neither end.
 
 An atom whose margin falls before an impact or transition and rises after it is false in that step
 and until it is back at its bound: it is beyond by an error of the step at most. A strict atom is so
-also while its margin stays. A warning says so. But `y >= 0` is false at rest on a floor at 0, if an
-inelastic landing ends below it. An atom that falls to its bound as an open contact touches waits
-for the impact.
+also while its margin stays. A warning says so. An atom that falls to its bound as an open contact
+touches waits for the impact.
 """
 
 from __future__ import annotations

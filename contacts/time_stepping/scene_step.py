@@ -21,6 +21,7 @@ from contacts.time_stepping.chunk import (
     DONE,
     NOT_FINITE,
     RESIDUAL,
+    TIME_MARGIN,
     Chunk,
 )
 from contacts.time_stepping.equations import (
@@ -58,10 +59,12 @@ from contacts.time_stepping.step_contacts import (
     share_forces,
     share_loads,
     split_forces,
+    time_to_touch,
     write_modes,
+    write_rates,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import copy_numbers, indices
+from statechart.kernels.copies import copy_numbers, copy_rows, indices
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
@@ -240,6 +243,10 @@ def switch_contacts(
     return True
 
 
+# Earliest impact before the middle of a step, relative to the step: some time must precede it.
+_EARLIEST = 0.5 - TIME_MARGIN
+# Newton iterations of the time of a touch.
+_TOUCHES = 4
 # Relative curvature of the direction out of a surface.
 _BENT = 0.01
 # Relative decrease of a condition in a step that is round-off.
@@ -248,17 +255,19 @@ _AT_REST = 1e-9
 
 @kernel
 def _free_change(
-    scene: StepConstants, light: Bools, numbers: Array, n: int, h: float
+    scene: StepConstants, light: Bools, numbers: Array, h: float, after: float
 ) -> tuple[bool, FactoredEquations]:
     """Return the change of rates without free contacts, and whether the equations are regular.
 
-    Coordinates without inertia receive a small one, from there on.
+    Forces act at the new rates for the time `after`. Coordinates without inertia receive a small
+    one, from there on.
     """
-    damped, held, joints = scene.damped, scene.bilateral, scene.joints
-    regular, factors, order, right = factor_equations(numbers, n, h, damped, held, joints, light[0])
+    n, held, joints = scene.size, scene.bilateral, scene.joints
+    after = after if scene.damped else 0.0
+    regular, factors, order, right = factor_equations(numbers, n, h, after, held, joints, light[0])
     if not regular and not light[0]:
         light[0] = True
-        regular, factors, order, right = factor_equations(numbers, n, h, damped, held, joints, True)
+        regular, factors, order, right = factor_equations(numbers, n, h, after, held, joints, True)
     change = solve_factored(factors, order, right) if regular else right
     return regular, FactoredEquations(factors, order, change, np.empty(len(change)))
 
@@ -387,6 +396,97 @@ def _step_group(
     if impact_order_matters(scene, island, contacts, k, chunk):
         chunk.stats[k, AMBIGUOUS] = 1.0
     return mixed
+
+
+@kernel
+def _evaluate_at_touch(
+    scene: StepConstants, instant: StepInstant, delay: float, moved: Array, numbers: Array
+) -> None:
+    """Evaluate the tape `delay` after mid-step, after impacts that change rates by `moved`."""
+    n, (time, state, middle) = scene.size, instant
+    there = middle.copy()
+    for j in range(n):
+        there[j] += delay * state[n + j]
+        there[n + j] += moved[j]
+    tape_values(*scene.equations, there, scene.parameters, time + delay, numbers)
+
+
+@kernel
+def _hold_after_touch(
+    scene: StepConstants, numbers: Array, equations: FactoredEquations, columns: Array, h: float,
+    left: float,
+) -> None:  # fmt: skip
+    """Close the constraints that the impulses of a group move, `left` after its touch.
+
+    `numbers`: of the tape after its impact; `columns`: see `unit_responses`.
+    """
+    n, held, change, right = scene.size, scene.bilateral, equations.change, np.zeros(len(columns.T))
+    at = n
+    first = n * n + n + (n * n if scene.damped else 0)
+    for i in range(len(held) + scene.joints):
+        joint, row = i - len(held), first + (2 * n + CONTACT) * min(i, len(held))
+        row += (n + JOINT) * max(joint, 0)
+        for d in range(held[i] if joint < 0 else 1):
+            gap, rate, bias = row + n, row + n + 1, row + n + 2
+            if joint < 0:
+                gap, rate, bias = row + 2 * n + 2, row + 2 * n + 3 + d, row + 2 * n + d
+            on = joint < 0 or numbers[row + n + 3] == 0.0
+            if on and np.abs(columns[:, at]).max() > 0.0:
+                right[at] = -0.5 * left * left / h * numbers[bias] - numbers[rate]
+                right[at] -= numbers[gap] / h if d == 0 else 0.0
+                for j in range(n):
+                    right[at] -= numbers[row + d * n + j] * change[j]
+            at += 1
+    correction = solve_factored(equations.factors, equations.order, right)
+    for j in range(len(change)):
+        change[j] += correction[j]
+
+
+@kernel
+def _touch(
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
+    instant: StepInstant, members: Ints, met: ContactRoles, h: float,
+) -> tuple[float, Array, TapeValues, FactoredEquations]:  # fmt: skip
+    """Return when a group that lands touches, after mid-step, and the change of rates (n,) there.
+
+    And the tape and equations for its impulses there, with the forces of mid-step. The time is 0
+    unless it lands.
+    """
+    n, delay, later = tape.size, 0.0, time_to_touch(scene, tape, members, met, h)
+    moved, there = np.zeros(n), TapeValues(np.empty_like(tape.numbers), *tape[1:])
+    for _ in range(_TOUCHES):
+        if not TIME_MARGIN * h < abs(later) < h or delay + later > 0.0:
+            break
+        delay += later
+        _evaluate_at_touch(scene, instant, delay, moved, there.numbers)
+        later = time_to_touch(scene, there, members, met, h)
+    if not (abs(later) <= TIME_MARGIN * h and -h < delay < 0.0):
+        return 0.0, moved, tape, equations
+    regular, at_touch = _free_change(scene, memory.light, there.numbers, h, 0.5 * h - delay)
+    if not regular:
+        return 0.0, moved, tape, equations
+    change, left, after = equations.change, h - delay, np.empty_like(tape.numbers)
+    at_touch = FactoredEquations(at_touch.factors, at_touch.order, change, equations.lasting)
+    for i in members:
+        write_rates(there, change, i, met)
+    # The impact by itself, without forces.
+    island, contacts, columns, _ = group_island(scene, memory, there, at_touch, members, met, h)
+    copy_rows(island.start, island.unforced)
+    island.bias[:] = 0.0
+    coordinate_impulses(contacts, island, scene.impulse_tolerance)
+    _add_impulses(columns[:, :n], island.chosen, moved)
+    _evaluate_at_touch(scene, instant, delay, moved, after)
+    _hold_after_touch(scene, after, at_touch, columns, h, left)
+    for i in members:
+        write_rates(there, change, i, met)
+        at = tape.first + tape.per * i + 2 * n
+        if met.hit[i]:
+            memory.target_gap[i] = min(after[at + 2], scene.gap_tolerance)
+        if not is_coupling(scene, i):
+            # Contacts reach their target at the middle of the next step.
+            above = after[at + 2] - memory.target_gap[i] + 0.5 * left * left * after[at]
+            met.bias[i, 0] = above / h
+    return delay, moved, there, at_touch
 
 
 @kernel
@@ -589,7 +689,7 @@ def step_scene(
             middle[i] += 0.5 * h * state[n + i]
         time = start + (k + 0.5) * h
         tape_values(*scene.equations, middle, scene.parameters, time, numbers)
-        regular, equations = _free_change(scene, memory.light, numbers, n, h)
+        regular, equations = _free_change(scene, memory.light, numbers, h, 0.5 * h)
         if not regular:
             return k, BAD_INERTIA
         signs = hold_signs(scene, memory, tape, equations, state, h, set_at + given_count)
@@ -613,16 +713,27 @@ def step_scene(
         total, lasting = equations.change, equations.lasting
         copy_numbers(total, lasting)
         copy_numbers(-lasting[:n], memory.contact_change)
-        which, blurred = indices(met.active), False
+        which, blurred, shift = indices(met.active), False, np.zeros(n)
+        since = -_EARLIEST * h
         chunk.stats[k, CONTACTS] = len(which)
         clear_contacts(scene, memory.disabled, forces, k, chunk)
         if len(which) > 0:
             label_groups(scene, tape, met.active, met.groups)
         for label in which:
             members = group_members(met, label)
-            if len(members) > 0:
-                mixed = _step_group(scene, memory, tape, equations, members, met, k, chunk)
-                blurred = blurred or mixed
+            if len(members) == 0:
+                continue
+            instant = StepInstant(time, state, middle)
+            delay, moved, there, at_touch = _touch(
+                scene, memory, tape, equations, instant, members, met, h
+            )
+            mixed = _step_group(scene, memory, there, at_touch, members, met, k, chunk)
+            blurred = blurred or mixed
+            if chunk.struck[k][members].any():
+                since = max(since, delay)
+                for j in range(n):
+                    shift[j] -= delay * moved[j]
+        chunk.impact_delay[k] = since if chunk.struck[k].any() else 0.0
         # The steps after an impact bring joints to the violation of the new velocity.
         _write_held(scene, equations, blurred or bool(memory.landing_steps.any()), k, chunk)
         for i in range(n):
@@ -630,6 +741,7 @@ def step_scene(
             chunk.solved[k, i] = lasting[i] / h
             # Mean velocity of the step.
             middle[n + i] += 0.5 * total[i]
+            middle[i] += shift[i]
             state[n + i] += total[i]
             state[i] = middle[i] + 0.5 * h * state[n + i]
             if not math.isfinite(state[i]):

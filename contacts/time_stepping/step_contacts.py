@@ -173,6 +173,16 @@ def _slow(
 
 
 @kernel
+def write_rates(tape: TapeValues, change: Array, i: int, met: ContactRoles) -> None:
+    """Write the velocities of contact i before a step, and after it without contacts."""
+    n, row = tape.size, tape.first + tape.per * i
+    for d in range(2):
+        met.before[i, d] = met.free[i, d] = tape.numbers[row + 2 * n + 3 + d]
+        for j in range(n):
+            met.free[i, d] += tape.numbers[row + d * n + j] * change[j]
+
+
+@kernel
 def find_active(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, change: Array, k: int,
     met: ContactRoles, chunk: Chunk,
@@ -186,10 +196,7 @@ def find_active(
         if scene.bilateral[i] > 0 or off[i]:
             continue
         before, free = met.before[i], met.free[i]
-        for d in range(2):
-            before[d] = free[d] = numbers[row + 2 * n + 3 + d]
-            for j in range(n):
-                free[d] += numbers[row + d * n + j] * change[j]
+        write_rates(tape, change, i, met)
         if is_coupling(scene, i):
             met.active[i], met.bias[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
             continue
@@ -404,6 +411,17 @@ def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, c
 
 
 @kernel
+def _rebounds(scene: StepConstants, met: ContactRoles, i: int) -> bool:
+    """Return whether contact i has an impact with restitution, which plastic groups have not."""
+    rigid_count = 0
+    for k in range(len(met.groups)):
+        in_group = met.groups[k] == met.groups[i]
+        rigid_count += 1 if in_group and not _is_finite(scene, k) else 0
+    restores = met.hit[i] and scene.restitution[i] > 0.0
+    return restores and not (scene.plastic and rigid_count > 1)
+
+
+@kernel
 def group_island(
     scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     members: Ints, met: ContactRoles, h: float,
@@ -414,12 +432,9 @@ def group_island(
     """
     columns = unit_responses(tape, equations, members)
     pads, biases = normal_pads(scene, tape, members, columns, h)
-    m, n, struck, rigid_count = len(members), tape.size, False, 0
+    m, n, struck = len(members), tape.size, False
     island = new_island(members, met.before[members], met.free[members], np.zeros((m, 2)))
     jacobians, cones = np.empty((m, 2, n)), np.empty((m, 2))
-    for i in range(len(met.groups)):
-        in_group = met.groups[i] == met.groups[members[0]]
-        rigid_count += 1 if in_group and not _is_finite(scene, i) else 0
     for a in range(m):
         i = members[a]
         row, slip = tape.first + tape.per * i, island.start[a, 1]
@@ -433,9 +448,9 @@ def group_island(
             island.kinds[a] = TWO if scene.coefficient_places[i] >= 0 else LIMIT
             for way in range(-1, 2):
                 write_cone(scene, tape, i, way, island.frictions[a, way])
-        island.rebounds[a] = met.hit[i] and scene.restitution[i] > 0.0
-        if scene.plastic and island.rebounds[a] and rigid_count > 1:
-            island.rebounds[a], met.bias[i, 0] = False, 0.0
+        island.rebounds[a] = _rebounds(scene, met, i)
+        if met.hit[i] and scene.restitution[i] > 0.0 and not island.rebounds[a]:
+            met.bias[i, 0] = 0.0
         island.hit[a] = met.hit[i if scene.carriers[i] < 0 else scene.carriers[i]]
         struck = struck or island.hit[a]
         copy_numbers(memory.impulses[i], island.chosen[a])
@@ -449,6 +464,26 @@ def group_island(
     loads = coupling_loads(scene, members, columns, equations.change, island.chosen, h)
     load_couplings(scene, tape, members, loads, pads, island.unforced)
     return island, coordinate_rows(jacobians, columns, pads, cones), columns, pads
+
+
+@kernel
+def time_to_touch(
+    scene: StepConstants, tape: TapeValues, members: Ints, met: ContactRoles, h: float
+) -> float:
+    """Return the time to the last touch of a group that lands; infinite if it does not.
+
+    It lands if all its impacts are without restitution, and began within a step.
+    """
+    last = -math.inf
+    for i in members:
+        row = tape.first + tape.per * i + 2 * tape.size
+        gap, nearing = tape.numbers[row + 2], -tape.numbers[row + 3]
+        lands = not _rebounds(scene, met, i) and abs(gap) < h * nearing
+        if scene.compliance[i, 0] > 0.0 or (met.hit[i] and not lands):
+            return math.inf
+        if met.hit[i]:
+            last = max(last, gap / nearing)
+    return last if last > -math.inf else math.inf
 
 
 @kernel

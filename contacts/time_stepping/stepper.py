@@ -24,6 +24,10 @@ by ``-s M^-1 J^T I``, so that landed contacts touch. That takes ``-s f M^-1 J^T 
 in the forces; if all impulses are impacts the bound above becomes ``(h - 2 s)^2/8 f^T M^-1 f``.
 Until then lasting contacts carry their previous forces, if that moves them by no more than a step
 of free fall; otherwise impacts are at mid-step.
+
+Points whose coupled group lands without restitution land at its last touch, at ``-h < s < 0``
+(found by Newton's method), with the mass and Jacobians there. Forces depend on the new velocities
+for the time ``h/2 - s``. Other impacts of points are at the first mid-step inside the surface.
 """
 
 from __future__ import annotations

@@ -77,12 +77,22 @@ def solve(active, v, free):
 
 
 def moreau(q, v, h, steps):
-    """Moreau's midpoint rule; contacts whose gap is closed at the midpoint take part."""
+    """Moreau's midpoint rule; contacts whose gap is closed at the midpoint take part.
+
+    If all that are new have no restitution, the motion after their impact begins at the last touch.
+    """
+    closed = np.zeros(3, bool)
     for _ in range(steps):
         middle = q + 0.5 * h * v
         free = v + np.linalg.solve(MASS, h * forces(middle))
         active = np.flatnonzero(gaps(middle) <= 1e-15)
+        new = [i for i in active if not closed[i] and NORMALS[i] @ v < 0.0]
+        if new and not any(RESTITUTION[i] for i in new):
+            since = min(gaps(middle)[i] / (NORMALS[i] @ v) for i in new)
+            middle = middle + since * (solve(active, v, v) - v)
         v = solve(active, v, free) if len(active) else free
+        closed[:] = False
+        closed[active] = np.abs(NORMALS[active] @ v) <= 1e-12
         q = middle + 0.5 * h * v
     return q, v
 

@@ -265,3 +265,27 @@ def test_steps_warn_of_a_window_in_the_last_step(end: float) -> None:
     assert [jump.t for jump in statechart.run(read_text(text)).trace.jumps if jump.cause == "go"]
     run = statechart.run(read_text(text), engine="impulse", step=STEP)
     assert any("go is true within the step of 0.001 at t = 0.3" in w for w in run.warnings)
+
+
+@pytest.mark.parametrize("height", [1.0, 1.0005, 1.0017, 0.8])
+@pytest.mark.parametrize(
+    ("guard", "fires"),
+    [("b.y < 0", None), ("b.y <= -2e-4", None), ("b.y >= 0 and time >= 0.46", 0.46)],
+)
+@pytest.mark.parametrize("stops", [False, True])
+@pytest.mark.parametrize("step", [None, STEP, 3.1e-4])
+def test_a_body_that_lands_without_restitution_rests_on_its_surface(
+    step: float | None, stops: bool, guard: str, fires: float | None, height: float
+) -> None:
+    text = BALL.replace("y: 0.45", f"y: {height}").replace("E}", "0}")
+    text = text.replace("GUARD", "time > 9" if stops else guard)
+    if stops:
+        text = text.replace("0.6}", f"0.6, conditions: {{go: '{guard}'}}}}")
+    setting: Any = {} if step is None else {"engine": "impulse", "step": step}
+    jumps = statechart.run(read_text(text), **setting).trace.jumps
+    times = [jump.t for jump in jumps if jump.cause in ("go", "stop")]
+    assert times == ([] if fires is None else [pytest.approx(fires, abs=step or 1e-9)])
+    assert [jump.t for jump in jumps if jump.cause == "touchdown"] == [
+        # Half of the touches come in the second half of a step, and count as at its end.
+        pytest.approx((height / 5.0) ** 0.5, abs=0.501 * (step or 1e-9))
+    ]
