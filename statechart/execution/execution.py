@@ -400,13 +400,8 @@ class Execution:
         if graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.6g}"] = None
-        if margin.kind in ("force", "hold") and not graze:
-            value = compiled.guards.values(self.state, self.setup.values, self.clock.high)[guard]
-            if -value > _MAX_WIDENING * self.setup.tolerances[margin.kind]:
-                self.warnings[
-                    f"{margin.name} is known to {-value:.2g} only where it falls at "
-                    f"t = {self.clock.high:.6g}: nearly dependent constraints magnify round-off"
-                ] = None
+        if not graze:
+            self._magnified(margin.name, margin.kind)
         if stops:
             taped = self.modes.taped(self.flow.moving, self.zeros)
             at, laws = self._instant(margin.name), self.automaton.laws_of_events
@@ -613,13 +608,34 @@ class Execution:
         if kind is None or not (self.grazed or kind == "speed"):
             return False
         default = self.setup.tolerances[kind]
-        widened = _WIDENING * self.flow.tolerances.get(margin, default)
-        if widened > _MAX_WIDENING * default:
+        # An enclosure that reaches from here to zero is below zero at twice its width.
+        magnified = 2.0 * self._magnified(margin, kind)
+        widened = magnified or _WIDENING * self.flow.tolerances.get(margin, default)
+        if not magnified and widened > _MAX_WIDENING * default:
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: widened})
-        warning = f"{margin} is zero to round-off; its tolerance there is {widened:.3g}"
-        self.warnings[f"t = {self.clock.high:.6g}: {warning}"] = None
+        if not magnified:
+            warning = f"{margin} is zero to round-off; its tolerance there is {widened:.3g}"
+            self.warnings[f"t = {self.clock.high:.6g}: {warning}"] = None
         return True
+
+    def _magnified(self, margin: str, kind: str) -> float:
+        """Return the distance of a force from its bound where round-off hides it, with a warning.
+
+        0.0 for distances that wider tolerances explain.
+        """
+        if kind not in ("force", "hold"):
+            return 0.0
+        compiled, time = self.entered[self.flow.moving], self.clock.high
+        values = compiled.guards.values(self.state, self.setup.values, time)
+        size = abs(values.item(compiled.names.index(margin)))
+        if size <= _MAX_WIDENING * self.setup.tolerances[kind]:
+            return 0.0
+        self.warnings[
+            f"{margin} is known to {size:.2g} only where it falls at t = {time:.6g}: nearly "
+            "dependent constraints magnify round-off"
+        ] = None
+        return size
 
     def show(self, local: float = 0.0, steps: int = 0) -> None:
         """Report progress, if it is enabled."""
