@@ -406,13 +406,16 @@ class RigidBodyRun(SteppedSystem):
     def detect(self, state: Array, time: float, h: float) -> DetectedContacts:
         """Return the contacts of a step of `h` from a state; the run itself does not change."""
         before, prescribed = self._warm, self._prescribed
-        self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
-        chunk, status = self._accepted_steps(time, h, state, 1, math.inf)
-        self._check_finite(chunk, status)
-        modes = chunk.codes[0, self._moving :]
-        detected = DetectedContacts.of(self._workspace, self._warm, self.numbers, modes)
-        self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
-        return detected
+        # As large as the workspace: steps check the capacity of that only.
+        self._warm = WarmStart.allocate(self.numbers).enlarged_to(before)
+        self._prescribed = copy(prescribed)
+        try:
+            chunk, status = self._accepted_steps(time, h, state, 1, math.inf)
+            self._check_finite(chunk, status)
+            modes = chunk.codes[0, self._moving :]
+            return DetectedContacts.of(self._workspace, self._warm, self.numbers, modes)
+        finally:
+            self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
 
     def slips(self, state: Array, time: float) -> Array:
         """Return the slips of couplings; see `SteppedSystem`."""
