@@ -191,8 +191,9 @@ name: press
 gravity: 1
 bodies: {{disc: {{mass: 1, inertia: 1, start: {{y: 1}}, shape: {{disc: 1}}}}}}
 surfaces: {{{lines}, ground: {{height: 0}}}}
-forces: {{drag: {{body: disc, force: [-disc.dx, 0]}}}}
-collisions: {{all: {{bodies: [disc], surfaces: [{", ".join(lids)}, ground], friction: 0, restitution: 0}}}}
+forces: {{spring: {{body: disc, force: [0, 1e5*(1 - disc.y)]}}}}
+collisions:
+  all: {{bodies: [disc], surfaces: [{", ".join(lids)}, ground], friction: 0, restitution: 0}}
 stop: {{time: 6}}
 settings: {{engine: impulse, step: 1e-2}}
 """
