@@ -227,8 +227,8 @@ class WarmStart(NamedTuple):
     # (b, 2): mode of each body in the last step, and 1 if it follows from accelerations; see
     # `contacts.rigid_bodies.body_modes`.
     modes: Ints
-    # (b, 6): landing of a body that settles: largest gap, normal (2), its offset at gap zero,
-    # corner in the body frame (2).
+    # (b, 7): landing of a body that settles: largest gap; normal (2) and its offset at gap zero, in
+    # the frame of the surface; corner in the body frame (2); body that carries the surface, or -1.
     landings: Array
 
     @classmethod
@@ -239,7 +239,7 @@ class WarmStart(NamedTuple):
             np.zeros((most, 2), dtype=np.int64), np.zeros((most, WARM_START_COLUMNS)),
             np.zeros(1, dtype=np.int64), np.zeros(3),
             np.zeros((len(numbers.inverse), 2), dtype=np.int64),
-            np.zeros((len(numbers.inverse), 6)),
+            np.zeros((len(numbers.inverse), 7)),
         )  # fmt: skip
 
     def copy(self) -> WarmStart:

@@ -1,9 +1,10 @@
 """Modes of bodies with shapes where they change, from the acceleration complementarity problem.
 
 The method is that of `contacts.time_stepping.settling`, for free bodies that touch only straight
-surfaces at rest and faces of fixed polygons. The gap acceleration at a corner is
-``J M^-1 f - w^2 r n``, with the arm r from the centre of mass to the corner, or to the centre of a
-rolling disc. All other bodies have the modes of their impulses.
+surfaces and faces of polygons that are fixed or in prescribed motion. The gap acceleration is
+``J (M^-1 f - a) - w^2 r n + W^2 R n - 2 W v_t`` at a corner, or the centre of a rolling disc, with
+the arms r from the centre of mass and R from the centre of the surface, which moves with
+acceleration a and angular velocity W. All other bodies have the modes of their impulses.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import math
 
 import numpy as np
 
-from contacts.collision_detection.active_contacts import ActiveContacts, velocity
+from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers, WarmStart, split_key
-from contacts.collision_detection.surfaces import LINE, PLATE
+from contacts.collision_detection.midpoint import Midpoint
+from contacts.collision_detection.surfaces import LINE, PLATE, to_frame, to_world
+from contacts.collision_detection.time_of_impact import carrier_of
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import Chunk
@@ -52,47 +55,42 @@ def unsettle_bodies(warm: WarmStart, k: int, chunk: Chunk) -> bool:
 
 
 @kernel
-def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
-    """Return whether a contact is on a straight surface at rest, or a face of a fixed polygon."""
+def _turn(x: float, y: float, angle: float) -> tuple[float, float]:
+    """Return a vector, turned by an angle."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * x - s * y, s * x + c * y
+
+
+@kernel
+def _is_straight(numbers: BodyNumbers, mid: Midpoint, key: int, normal: Array) -> bool:
+    """Return whether a contact is on a straight surface, or on a face of a polygon."""
     pieces, surfaces = numbers.pieces, numbers.surfaces
     _, q = split_key(numbers, key)
+    nx, ny = _turn(normal[0], normal[1], -mid.poses[carrier_of(numbers, q), 2])
     s = q - len(pieces.sizes)
-    if s < 0:
-        return _is_fixed_face(numbers, q, normal)
-    if surfaces.carriers[s] >= 0:
-        return False
-    if surfaces.kinds[s] != PLATE:
-        return surfaces.kinds[s] == LINE
-    a, b, c, d = surfaces.numbers[s]
-    return _is_normal(normal, c - a, d - b)
-
-
-@kernel
-def _is_normal(normal: Array, x: float, y: float) -> bool:
-    """Return whether a normal is that of a face along (x, y)."""
-    return abs(normal[0] * x + normal[1] * y) <= _PARALLEL * (abs(x) + abs(y))
-
-
-@kernel
-def _is_fixed_face(numbers: BodyNumbers, q: int, normal: Array) -> bool:
-    """Return whether piece q is a polygon of a fixed body, and a normal that of a face."""
-    pieces = numbers.pieces
-    at = pieces.bodies[q] - (len(numbers.sizes) - len(numbers.fixed))
-    if at < 0 or pieces.radii[q] > 0.0:
-        return False
-    c, s = math.cos(numbers.fixed[at, 2]), math.sin(numbers.fixed[at, 2])
-    last = pieces.vertices[pieces.firsts[q + 1] - 1]
+    if s >= 0:
+        a, b, c, d = surfaces.numbers[s]
+        plate = surfaces.kinds[s] == PLATE and _is_normal(nx, ny, c - a, d - b)
+        return plate or surfaces.kinds[s] == LINE
+    last = pieces.firsts[q + 1] - 1
     for i in range(pieces.firsts[q], pieces.firsts[q + 1]):
-        x, y = pieces.vertices[i, 0] - last[0], pieces.vertices[i, 1] - last[1]
-        if _is_normal(normal, c * x - s * y, s * x + c * y):
+        (x, y), (a, b) = pieces.vertices[i], pieces.vertices[last]
+        if _is_normal(nx, ny, x - a, y - b):
             return True
-        last = pieces.vertices[i]
+        last = i
     return False
 
 
 @kernel
-def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, counts: Ints) -> None:
+def _is_normal(nx: float, ny: float, x: float, y: float) -> bool:
+    """Return whether a normal is that of a face along (x, y)."""
+    return abs(nx * x + ny * y) <= _PARALLEL * (abs(x) + abs(y))
+
+
+@kernel
+def _count_contacts(numbers: BodyNumbers, space: Workspace, count: int, counts: Ints) -> None:
     """Write the numbers of contacts of bodies (b,); -1 if accelerations do not give their mode."""
+    active = space.active
     for b in range(len(counts)):
         counts[b] = 0
     for j in range(len(numbers.joints.kinds)):
@@ -109,7 +107,8 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
         b, other = active.bodies[i]
         # Compliance and rolling resistance are not part of the problem.
         rigid = active.compliances[i] == 0.0 and active.rolling_roles[i] == 0
-        alone = rigid and other < 0 and _is_straight(numbers, active.keys[i, 0], active.rows[i, 0])
+        key, normal = active.keys[i, 0], active.rows[i, 0]
+        alone = rigid and other < 0 and _is_straight(numbers, space.mid, key, normal)
         if other >= 0:
             counts[other] = -1
         if not alone:
@@ -119,61 +118,90 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
 
 
 @kernel
+def _turning_acceleration(
+    mid: Midpoint, rates: Array, b: int, c: int, direction: Array, arm: float, across: float
+) -> float:
+    """Return the acceleration by rotation of a corner of body b relative to body c (-1: world).
+
+    ``(W^2 - w^2) r u + W^2 (x_b - x_c) u - 2 W v``, with the `arm` r u along the direction u, and
+    the velocity v `across` it.
+    """
+    own, its = rates[b, 2], rates[c, 2]
+    away = direction[0] * (mid.poses[b, 0] - mid.poses[c, 0])
+    away += direction[1] * (mid.poses[b, 1] - mid.poses[c, 1])
+    return (its * its - own * own) * arm + its * (its * away - 2.0 * across)
+
+
+@kernel
 def _write_accelerations(
-    numbers: BodyNumbers, active: ActiveContacts, i: int, turning: float, h: float,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, i: int, h: float,
     accelerations: Array, sizes: Array,
 ) -> None:  # fmt: skip
     """Write the accelerations (2,) of contact i without contact forces, and their sizes."""
-    p, _ = split_key(numbers, active.keys[i, 0])
-    rows = active.rows[i]
+    active, (p, q) = space.active, split_key(numbers, space.active.keys[i, 0])
+    b, c, rows = active.bodies[i, 0], carrier_of(numbers, q), active.rows[i]
+    radius, (normal, slip) = numbers.pieces.radii[p], warm.contacts[i, 4:6]
     for d in range(2):
-        arm = numbers.pieces.radii[p] - rows[1, 2] if d == 0 else rows[0, 2]
-        forced, bias = (active.free[i, d] - active.before[i, d]) / h, -(turning**2) * arm
+        arm = radius - rows[1, 2] if d == 0 else rows[0, 2]
+        across = slip - radius * (rates[b, 2] - rates[c, 2]) if d == 0 else -normal
+        forced = (active.free[i, d] - active.before[i, d]) / h
+        bias = _turning_acceleration(space.mid, rates, b, c, rows[d, :2], arm, across)
         accelerations[d], sizes[d] = forced + bias, abs(forced) + abs(bias)
 
 
 @kernel
 def _remember_landing(
-    numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, i: int, size: float,
-    h: float,
-) -> None:  # fmt: skip
-    """Remember the largest gap at which contact i lands."""
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, i: int, size: float, h: float
+) -> None:
+    """Remember the largest gap at which contact i lands, in the frame of its surface."""
     active, b = space.active, space.active.bodies[i, 0]
-    above = active.levels[i, 3]
-    stops = velocity(active.bodies, active.rows, rates, i, 0) <= LEFT * h * size
-    landed = warm.landings[b]
-    if not (active.hit[i] and stops and above > landed[0]):
+    above, landed = active.levels[i, 3], warm.landings[b]
+    if not (active.hit[i] and warm.contacts[i, 4] <= LEFT * h * size and above > landed[0]):
         return
-    p, _ = split_key(numbers, active.keys[i, 0])
-    (nx, ny), x, y = active.rows[i, 0, :2], space.mid.poses[b, 0], space.mid.poses[b, 1]
+    p, q = split_key(numbers, active.keys[i, 0])
+    pose, frame = space.mid.poses[b], space.mid.poses[carrier_of(numbers, q)]
+    nx, ny = active.rows[i, 0, :2]
     along, across = numbers.pieces.radii[p] - active.rows[i, 1, 2], active.rows[i, 0, 2]
-    u, v = along * nx + across * ny, along * ny - across * nx
-    c, s = math.cos(space.mid.poses[b, 2]), math.sin(space.mid.poses[b, 2])
-    landed[0], landed[1], landed[2], landed[3] = above, nx, ny, nx * (x + u) + ny * (y + v) - above
-    landed[4], landed[5] = c * u + s * v, c * v - s * u
+    x, y = pose[0] + along * nx + across * ny, pose[1] + along * ny - across * nx
+    landed[0], landed[6] = above, carrier_of(numbers, q)
+    landed[1], landed[2] = _turn(nx, ny, -frame[2])
+    landed[4], landed[5] = to_frame(pose, x, y)
+    x, y = to_frame(frame, x, y)
+    landed[3] = landed[1] * x + landed[2] * y - above
 
 
 @kernel
-def _hovers(warm: WarmStart, space: Workspace, rates: Array, b: int, h: float, alone: bool) -> bool:
+def _relative_velocity(
+    mid: Midpoint, rates: Array, b: int, c: int, x: float, y: float
+) -> tuple[float, float]:
+    """Return the velocity of a point of body b relative to body c (-1: world)."""
+    pose, frame = mid.poses[b], mid.poses[c]
+    u = rates[b, 0] - rates[b, 2] * (y - pose[1]) - rates[c, 0] + rates[c, 2] * (y - frame[1])
+    v = rates[b, 1] + rates[b, 2] * (x - pose[0]) - rates[c, 1] - rates[c, 2] * (x - frame[0])
+    return u, v
+
+
+@kernel
+def _hovers(warm: WarmStart, mid: Midpoint, rates: Array, b: int, h: float, alone: bool) -> bool:
     """Return whether a corner falls within the gap at which it landed.
 
     Unless `alone`, the body is pressed elsewhere: a corner that steps explain is then closed.
     """
-    above, nx, ny, zero, u, v = warm.landings[b]
-    mid, turning = space.mid, rates[b, 2]
-    x, y = mid.poses[b, 0], mid.poses[b, 1]
-    c, s = math.cos(mid.poses[b, 2]), math.sin(mid.poses[b, 2])
-    u, v = c * u - s * v, s * u + c * v
-    along, across = nx * u + ny * v, ny * u - nx * v
-    rate = nx * rates[b, 0] + ny * rates[b, 1] + turning * across
-    forced = nx * (mid.free_rates[b, 0] - mid.old_rates[b, 0]) + ny * (
-        mid.free_rates[b, 1] - mid.old_rates[b, 1]
-    )
-    forced = (forced + across * (mid.free_rates[b, 2] - mid.old_rates[b, 2])) / h
-    bias = -(turning**2) * along
+    above, nx, ny, zero, u, v, carrier = warm.landings[b]
+    c = int(carrier)
+    x, y = to_world(mid.poses[b], u, v)
+    u, v = to_frame(mid.poses[c], x, y)
+    gap, normal = nx * u + ny * v - zero, np.empty(2)
+    nx, ny = _turn(nx, ny, mid.poses[c, 2])
+    normal[0], normal[1] = nx, ny
+    u, v = _relative_velocity(mid, mid.free_rates, b, c, x, y)
+    du, dv = _relative_velocity(mid, mid.old_rates, b, c, x, y)
+    forced = (nx * (u - du) + ny * (v - dv)) / h
+    u, v = _relative_velocity(mid, rates, b, c, x, y)
+    along = nx * (x - mid.poses[b, 0]) + ny * (y - mid.poses[b, 1])
+    bias = _turning_acceleration(mid, rates, b, c, normal, along, ny * u - nx * v)
     speed_error = LEFT * h * (abs(forced) + abs(bias))
-    gap = nx * (x + u) + ny * (y + v) - zero
-    falls = above > 0.0 and forced + bias <= 0.0 and rate <= speed_error
+    falls = above > 0.0 and forced + bias <= 0.0 and nx * u + ny * v <= speed_error
     near = LEFT * h * speed_error
     return falls and gap <= above + near and (alone or gap > near)
 
@@ -187,7 +215,7 @@ def _is_explained(
     active, free, sizes = space.active, np.zeros(2), np.zeros(2)
     for i in range(count):
         if active.bodies[i, 0] == b and active.hit[i] and space.pressed[i, 0] > 0.0:
-            _write_accelerations(numbers, active, i, rates[b, 2], h, free, sizes)
+            _write_accelerations(numbers, warm, space, rates, i, h, free, sizes)
             fall = math.sqrt(2.0 * sizes[0] * warm.landings[b, 0])
             if -active.before[i, 0] > fall + LEFT * h * sizes[0]:
                 return False
@@ -204,7 +232,7 @@ def settle_bodies(
     Changes `warm`, `space.local` and step k of the chunk.
     """
     counts = space.local[: len(warm.modes)]
-    _count_contacts(numbers, space.active, count, counts)
+    _count_contacts(numbers, space, count, counts)
     for b in range(len(counts)):
         if warm.modes[b, 1] == 0:
             continue
@@ -219,7 +247,7 @@ def settle_bodies(
             mode = _body_mode(numbers, warm, space, rates, count, b, k, chunk)
         lands = warm.modes[b, 0] != FREE and not chunk.struck[k, b]
         alone = mode == FREE or chunk.codes[k, b] == FREE
-        if lands and _hovers(warm, space, rates, b, chunk.h, alone):
+        if lands and _hovers(warm, space.mid, rates, b, chunk.h, alone):
             mode = warm.modes[b, 0] if mode == FREE else mode
             warm.modes[b, 1] = HOVERS
         chunk.modes[k, b] = mode
@@ -273,17 +301,17 @@ def _body_mode(
         if active.bodies[i, 0] != b:
             continue
         presses = space.pressed[i, 0] > 0.0
-        _write_accelerations(numbers, active, i, rates[b, 2], h, free[m], sizes[m])
-        rate, rate_error = velocity(active.bodies, active.rows, rates, i, 0), LEFT * h * sizes[m, 0]
+        _write_accelerations(numbers, warm, space, rates, i, h, free[m], sizes[m])
+        rate, rate_error = warm.contacts[i, 4], LEFT * h * sizes[m, 0]
         above = 0.0 if active.hit[i] else active.levels[i, 3]
         near = above <= LEFT * h * rate_error and rate <= rate_error
         if presses:
-            _remember_landing(numbers, warm, space, rates, i, sizes[m, 0], h)
+            _remember_landing(numbers, warm, space, i, sizes[m, 0], h)
         if not (near and (presses or (shown != FREE and not active.hit[i]))):
             continue
         which[m] = i
         _write_cone(numbers, active, i, 0.0, cones[m])
-        slip = velocity(active.bodies, active.rows, rates, i, 1) + active.bias[i, 1]
+        slip = warm.contacts[i, 5] + active.bias[i, 1]
         slips[m] = slip
         if abs(slip) > space.known[i] and cones[m, 1] > 0.0:
             mu = cones[m, 1] / cones[m, 0]

@@ -5,6 +5,7 @@ heyoka computes steps and dense output. Its event detection is not used: it give
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -107,9 +108,9 @@ class Taylor(Engine):
         from statechart.engines.heyoka_formulas import Converter
 
         extended = self._number is not float
-        convert = Converter(automaton, dict(mode.definitions), folds=not extended)
+        convert = Converter(rates, folds=not extended)
         states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
-        form = tuple(convert.rate(rate) for rate in mode.rates)
+        form = convert.expressions
         cached = self._programs.get(form)
         if cached is None:
             compact = extended or len(rates.code) > _LARGE
@@ -126,13 +127,14 @@ class Taylor(Engine):
         integrator, compiled = cached
         # heyoka drops parameters that it simplifies away (a mass may cancel); the first is the
         # start of the arc.
-        fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
+        fixed = convert.fixed(max(len(integrator.pars) - 1, 0))
+        singular = _singular_powers(automaton, mode)
         return _Stepper(
             integrator,
             compiled,
             fixed,
-            tuple(_shown(automaton, *power) for power in convert.singular),
-            automaton.tape([base for base, _ in convert.singular], mode),
+            tuple(_shown(automaton, *power) for power in singular),
+            automaton.tape([base for base, _ in singular], mode),
             rates,
         )
 
@@ -209,6 +211,19 @@ class Taylor(Engine):
             path.times[limit] = until
         end[:] = watch.reconstruction.onto(end, watch.start + path.times.item(limit))
         return finished
+
+
+def _singular_powers(automaton: Automaton, mode: Mode) -> list[tuple[sp.Expr, sp.Expr]]:
+    """Return base and exponent of the powers in the rates that have no series at base zero."""
+    used, defined = set(mode.rates), dict(mode.definitions)
+    while fresh := {defined[x] for e in used for x in e.free_symbols & defined.keys()} - used:
+        used |= fresh
+    powers = {power.args for e in used for power in e.atoms(sp.Pow) if not power.exp.is_Integer}
+    # A step has the root of a square for an absolute value.
+    sizes = {(size.args[0] ** 2, sp.S.Half) for e in used for size in e.atoms(sp.Abs, sp.sign)}
+    singular = [*sp.ordered(powers), *sp.ordered(sizes - powers)]
+    tape = automaton.tape([base for base, _ in singular], mode)
+    return list(itertools.compress(singular, tape.varying))
 
 
 def _shown(automaton: Automaton, base: sp.Expr, exponent: sp.Expr) -> str:

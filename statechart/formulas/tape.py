@@ -78,6 +78,12 @@ class Tape:
             self.code, self.constants, self.outputs, self.n_fixed, states, parameters, times
         )
 
+    @property
+    def varying(self) -> list[bool]:
+        """Whether each output depends on variables or time."""
+        first = self.n_variables + 1 + self.n_parameters + len(self.constants) + self.n_fixed
+        return [place <= self.n_variables or place >= first for place in self.outputs.tolist()]
+
     @cached_property
     def coloured_sparsity(self) -> Callable[[int], tuple[Ints, Ints, Ints]]:
         """Function of a number of variables: sparsity of the Jacobian with a column colouring.

@@ -242,7 +242,7 @@ class _Writer:
 
     def _product(self, node: sp.Expr) -> int:
         number, factors = node.as_coeff_mul()
-        factors, exponent = join_exponentials(_join_powers(factors))
+        factors, exponent = _join_exponentials(_join_powers(factors))
         above: list[int] = []
         below: list[int] = []
         if exponent is not None:
@@ -398,7 +398,7 @@ def _join_powers(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
     return [sp.Pow(base, exponent) for base, exponent in exponents.items()]
 
 
-def join_exponentials(factors: Sequence[sp.Expr]) -> tuple[Sequence[sp.Expr], sp.Expr | None]:
+def _join_exponentials(factors: Sequence[sp.Expr]) -> tuple[Sequence[sp.Expr], sp.Expr | None]:
     """Join a number that over- or underflows with an exponential factor.
 
     SymPy splits exp(x + 3000.0) into two exponentials, the first of which overflows. Returns the

@@ -2,7 +2,6 @@
 
 import math
 import re
-from types import SimpleNamespace
 
 import heyoka as hy
 import numpy as np
@@ -13,10 +12,11 @@ from runs import automaton
 from statechart.automaton.laws import roles_in
 from statechart.engines.heyoka_formulas import Converter
 from statechart.engines.taylor import Taylor
+from statechart.errors import Unsupported
 from statechart.execution.simulator import Simulator
+from statechart.formulas.writer import compile_tape
 
 X, Y, P, Q, T, D = sp.symbols("x y p q t d")
-HERE = SimpleNamespace(variables=(X, Y), parameters=(P, Q), time=T)
 
 
 def still(decomposition, states):
@@ -51,30 +51,39 @@ def test_a_mode_of_many_operations_steps_in_compiled_loops():
     assert all(engine.step_function(mode.stepper) for mode in modes.values())
 
 
+def converted(rates, definitions=(), *, folds=True):
+    """Return the conversion of rates in x, y, parameters p, q and time t."""
+    tape = compile_tape(rates, variables=(X, Y), parameters=(P, Q), time=T, definitions=definitions)
+    return Converter(tape, folds=folds)
+
+
 @pytest.mark.parametrize("folds", [True, False])
-def test_grouping_parameters_keeps_the_formula(folds):
+def test_parameters_of_heyoka_keep_the_formula(folds):
     formula = (P + Q * X + 3) * sp.sin(X) / (P**2 + 1) + sp.sqrt(Q) * D * Y**2 + P * T
-    convert = Converter(HERE, {D: P * Q - 1}, folds=folds)
-    found = convert(formula)
-    values = {P: 0.7, Q: 1.9, X: 0.3, Y: -0.4, T: 0.5}
-    numbers = [value.subs(D, P * Q - 1).subs(values) for value in convert.constants]
-    compiled = hy.cfunc([found], vars=[hy.expression("v0"), hy.expression("v1")])
+    convert = converted([formula], [(D, P * Q - 1)], folds=folds)
+    state, given = [0.3, -0.4], [0.7, 1.9]
+    numbers = convert.fixed(100).values(state, given, 0.5).tolist()
+    compiled = hy.cfunc([*convert.expressions], vars=[hy.expression("v0"), hy.expression("v1")])
     # The first of heyoka's own parameters is the start time of the flow.
-    pars = np.array([0.5, *numbers], dtype=float)
-    (value,) = compiled([0.3, -0.4], pars=pars, time=0.0)
+    (value,) = compiled(state, pars=np.array([0.5, *numbers]), time=0.0)
+    values = dict(zip((X, Y, P, Q, T), (*state, *given, 0.5), strict=True))
     expected = float(formula.subs(D, P * Q - 1).subs(values))
     assert math.isclose(value, expected, rel_tol=1e-15)
-    assert folds == (convert.constants != [P, Q])
+    assert folds != ({*numbers} <= {*given, 1.0, 3.0})  # as written
 
 
-def test_common_factors_of_products_are_computed_once():
-    convert = Converter(HERE, {}, folds=True)
-    system = [
-        (hy.expression("v0"), convert(P * Y**2 * sp.cos(X))),
-        (hy.expression("v1"), convert(-P * Q * Y**2 * sp.cos(X) + 3)),
+def test_rates_that_differ_in_a_constant_share_a_program():
+    one, other = (converted([-X + number, P * Y]) for number in (3, 5))
+    assert one.expressions == other.expressions
+    assert [c.fixed(100).values([0, 0], [0.7, 1.9], 0.0).tolist() for c in (one, other)] == [
+        [3.0, 0.7],
+        [5.0, 0.7],
     ]
-    operations = [str(item[0]) for item in hy.taylor_adaptive(system, [0.0, 0.0]).decomposition]
-    assert sum("u_" in text and text.count("u_") == 2 for text in operations) == 1
+
+
+def test_a_function_without_a_series_is_refused():
+    with pytest.raises(Unsupported, match=r"cannot expand max\(\) in a flow"):
+        converted([sp.Max(X, Y)])
 
 
 def test_the_database_of_compiled_equations_is_our_own_and_bounded():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
@@ -128,7 +128,7 @@ def test_corner_that_falls_over_its_landing_gap_strikes_once(step: float) -> Non
 ROCKING = """
 kind: scene
 name: rocking
-parameters: {b: 0.1, h: 0.4, lean: 0.1, R: sqrt(b**2 + h**2), a: "atan2(b, h) - lean"}
+parameters: {b: 0.1, h: 0.4, v: 0.3, lean: 0.1, R: sqrt(b**2 + h**2), a: "atan2(b, h) - lean"}
 gravity: 9.81
 bodies:
   block:
@@ -144,13 +144,24 @@ outputs: {strikes: {value: time, at: each block.impact}}
 """
 
 
-@pytest.mark.parametrize("fixed", [False, True])
+FACE = "shape: {polygon: [[-2, -0.5], [2, -0.5], [2, 0], [-2, 0]]}"
+SLABS = {"surface": "", "fixed": f"fixed: true, {FACE}", "led": f"position: [0, v*time], {FACE}"}
+
+
+def on_slab(kind: str) -> str:
+    """Return the rocking block on a surface or a slab."""
+    if kind == "surface":
+        return ROCKING
+    text = ROCKING.replace("bodies:\n", f"bodies:\n  slab: {{{SLABS[kind]}}}\n", 1)
+    text = text.replace("[block], surfaces: [floor]", "[block, slab]")
+    return text.replace("{x:", "{dy: v, x:") if kind == "led" else text
+
+
+@pytest.mark.parametrize("slab", SLABS)
 @pytest.mark.parametrize(
     ("lean", "step"), [(0.1, 1.25e-4), (0.15, 7e-4), (0.07, 5e-4), (0.07, 2.5e-4)]
 )
-def test_rocking_block_strikes_once_in_each_half_swing(
-    lean: float, step: float, *, fixed: bool
-) -> None:
+def test_rocking_block_strikes_once_in_each_half_swing(lean: float, step: float, slab: str) -> None:
     # Energy of the swing about a corner, and Housner's ratio of rates at a strike.
     b, h = 0.1, 0.4
     alpha, p2 = math.atan2(b, h), 0.75 * 9.81 / math.hypot(b, h)
@@ -173,9 +184,54 @@ def test_rocking_block_strikes_once_in_each_half_swing(
         if strikes[-1] + 2.0 * quarter(swing) > 1.0:
             break
         strikes.append(strikes[-1] + 2.0 * quarter(swing))
-    slab = "{fixed: true, shape: {polygon: [[-2, -0.5], [2, -0.5], [2, 0], [-2, 0]]}}"
-    text = ROCKING.replace("bodies:\n", f"bodies:\n  slab: {slab}\n", 1) if fixed else ROCKING
-    text = text.replace("[block], surfaces: [floor]", "[block, slab]") if fixed else text
-    run = Runner(interpret(read_text(text)), step=step).run({"lean": lean})
+    run = Runner(interpret(read_text(on_slab(slab))), step=step).run({"lean": lean})
     assert {jump.cause for jump in run.trace.jumps[1:]} == {"impact"}
     assert run.outputs["strikes"] == pytest.approx(strikes, abs=16 * step)
+
+
+TURNING = ROCKING.replace("{x: b - R*sin(a), y: R*cos(a), angle: -lean}", "START")
+START = "{x: 0.6 - R*sin(a), y: R*cos(a), angle: -lean, dx: -w*R*cos(a), dangle: w, "
+START += "dy: w*(0.6 - R*sin(a))}"
+
+
+@pytest.mark.parametrize("kind", ["polygon", "surface"])
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4])
+@pytest.mark.parametrize("w", [-0.3, -0.15])
+def test_block_that_rocks_on_a_turning_slab_strikes_once_in_each_half_swing(
+    w: float, step: float, kind: str
+) -> None:
+    # Own integration about the corner at p in the frame of the slab: I w' = m r x (g + W^2 p). The
+    # Coriolis force passes through the corner; strikes have Housner's ratio of rates.
+    b, h, lean = 0.1, 0.4, 0.1
+    size, alpha = math.hypot(b, h), math.atan2(b, h)
+
+    def rates(t: float, y: list[float], side: float) -> list[float]:
+        at, corner = y[0] + side * alpha, 0.5 + side * b
+        x, up = -size * math.sin(at), size * math.cos(at)
+        pull_x, pull_up = -9.81 * math.sin(w * t) + w * w * corner, -9.81 * math.cos(w * t)
+        return [y[1], 0.75 * (x * pull_up - up * pull_x) / size**2]
+
+    def strikes_at(t: float, y: list[float], side: float) -> float:
+        return -side * y[0]
+
+    strikes_at.terminal, strikes_at.direction = True, -1  # type: ignore[attr-defined]
+    strikes, time, side, state = list[float](), 0.0, 1.0, [-lean, 0.0]
+    while True:
+        swing = solve_ivp(
+            rates, (time, 1.0), state, args=(side,), events=strikes_at, rtol=1e-10, atol=1e-12
+        )
+        if not swing.t_events[0].size:
+            break
+        time, side = float(swing.t[-1]), -side
+        strikes.append(time)
+        state = [1e-12 * -side, float(swing.y[1, -1]) * (1.0 - 1.5 * math.sin(alpha) ** 2)]
+    text = TURNING.replace("START", START).replace("lean: 0.1", f"lean: 0.1, w: {w}")
+    if kind == "polygon":
+        slab = f"{{position: [0, 0], angle: w*time, {FACE}}}"
+        text = text.replace("bodies:\n", f"bodies:\n  slab: {slab}\n", 1)
+        text = text.replace("[block], surfaces: [floor]", "[block, slab]")
+    else:
+        text = text.replace("height: 0", "height: 0, turn: w*time")
+    run = Runner(interpret(read_text(text)), step=step).run({})
+    assert {jump.cause for jump in run.trace.jumps[1:]} == {"impact"}
+    assert run.outputs["strikes"] == pytest.approx(strikes, abs=4 * step)
