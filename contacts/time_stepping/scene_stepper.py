@@ -42,6 +42,7 @@ from contacts.states import (
     SLIDE_PLUS,
     SLIPS,
     STATES,
+    open_motion_warning,
 )
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
@@ -520,10 +521,7 @@ class SteppedScene(SteppedSystem):
             if spare > acts(self._cones[bears]):
                 names = np.array(source.names)[bears]
                 shared = [i for i in range(len(names)) if acts(smooth, i) < spare]
-                loads[key] = (
-                    f"from t = {time:.6g} how {', '.join(names[shared])} share the load changes "
-                    "the motion, and nothing determines it: another engine or step may differ"
-                )
+                loads[key] = open_motion_warning(names[shared], time)
 
     def _count_allowed(self, chunk: Chunk, start: float) -> int:
         """Return the number of steps in declared modes; replace a stick that only passes.
