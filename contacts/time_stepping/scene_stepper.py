@@ -20,6 +20,7 @@ from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import (
     check_joints,
     check_limits,
+    check_place,
     check_start,
     hovering_warnings,
 )
@@ -710,6 +711,8 @@ class SceneStepper(Stepper):
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
             buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
             off[i] = failing[i] != "" or (OFF in law.states and buried)
+            if not off[i]:
+                check_place(self._scene, law.name, row[:3])
             if law.coupling or self._scene.contacts[law.name].stiffness is not None:
                 continue
             if not off[i]:
