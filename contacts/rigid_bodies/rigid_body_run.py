@@ -36,7 +36,7 @@ from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
 from contacts.rigid_bodies.shared_loads import MAX_BODIES, BearingForces
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.scene.parts import Point
-from contacts.states import CLOSED, SLIDE
+from contacts.states import CLOSED, FREE
 from contacts.time_stepping.chunk import (
     BAD_INERTIA,
     COARSE,
@@ -431,18 +431,18 @@ class RigidBodyRun(SteppedSystem):
     def _check_loads(self, start: float, chunk: Chunk) -> None:
         """Note the first loads that are shared in several ways, where modes of bodies end."""
         modes, numbers, kinetic = chunk.modes, self.numbers, slice(KINETIC, KINETIC + 2)
-        shown = len(numbers.joints.kinds) + len(numbers.couplings.holds) > 0
+        held = len(numbers.joints.kinds) + len(numbers.couplings.holds) + numbers.links.bodies > 0
         mixed = len(np.unique(numbers.materials[:, kinetic], axis=0)) > 1
         few = 0 < self._moving <= MAX_BODIES and len(modes) > 0
-        if not (self._options.forces and few and (shown or mixed)):
+        if not (self._options.forces and few and (held or mixed)):
             return
         changes = np.append(np.any(modes[1:] != modes[:-1], axis=1), True)
         ends = np.flatnonzero(changes)
-        lasting = (np.diff(ends, prepend=-1) >= _LASTING) & ~chunk.struck[ends].any(axis=1)
-        for k in ends[lasting].tolist():
+        begins = np.append(0, ends[:-1] + 1)
+        lasting = (ends - begins >= _LASTING - 1) & ~chunk.struck[ends].any(axis=1)
+        for first, k in zip(begins[lasting].tolist(), ends[lasting].tolist(), strict=True):
             key, (checked, warnings) = modes[k].tobytes(), self._loads
-            # Without forces to show, only sliding under different friction matters.
-            if key in checked or not (shown or (modes[k, : self._moving] == SLIDE).any()):
+            if key in checked or not (modes[k, : self._moving] != FREE).any():
                 continue
             if self._checks == _CHECKS:
                 return
@@ -455,7 +455,8 @@ class RigidBodyRun(SteppedSystem):
                     numbers, self._workspace, len(found.keys), found.couplings, titles, state
                 )
                 if forces is not None:
-                    warnings = forces.warnings(time, self._pair_names(found.keys)) | warnings
+                    pair, time = self._pair_names(found.keys), start + first * chunk.h
+                    warnings = forces.warnings(time, pair) | warnings
             self._loads = checked | {key}, warnings
 
     def _pair_names(self, keys: Ints) -> Callable[[int], str]:

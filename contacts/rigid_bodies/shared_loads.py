@@ -119,7 +119,7 @@ class BearingForces(NamedTuple):
         if len(changed):
             forces = ", ".join(self.shown[i - loads] for i in changed.tolist())
             result["forces"] = (
-                f"at t = {time:.6g} the forces {forces} are indeterminate: "
+                f"from t = {time:.6g} the forces {forces} are indeterminate: "
                 f"{', '.join(pairs(still @ still[changed].T))} can share their load in several "
                 "ways, and one is shown"
             )

@@ -109,3 +109,46 @@ def test_a_plank_slides_over_three_blocks_of_different_friction():
     # Equal friction, two blocks, or a plank at rest determine the motion.
     for settled in (rough(0.3, 0.3, 0.3), rough(0.1, 0.5), rough(0.1, 0.5, 0.3, speed=0.0)):
         assert not settled.warnings
+
+
+PUSHED = """
+kind: scene
+name: pushed
+gravity: 10
+HEAD
+bodies:
+  pad:
+    mass: 1
+    PLACE
+    shape: {polygon: [[-0.02, -0.05], [0.02, -0.05], [0.02, 0.05], [-0.02, 0.05]]}
+  box:
+    mass: 2
+    inertia: 0.05
+    start: {x: 0.12, y: 0.1}
+    shape: {polygon: [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]}
+surfaces: {table: {height: 0}}
+forces: {push: {body: pad, force: [30, 0]}}
+collisions: {all: {bodies: [pad, box], surfaces: [table], friction: 0.5, restitution: 0}}
+stop: {time: 0.1}
+settings: {engine: impulse, step: 1e-3}
+outputs: {v: {value: box.dx}}
+"""
+GUIDE = "joints: {g: {point: {body: pad}, to: {y: 0.1}, angle: held}}"
+
+
+@pytest.mark.parametrize(
+    ("head", "place"),
+    [(GUIDE, "start: {y: 0.1}\n    inertia: 1"), ("coordinates: {s: {}}", "position: [s, 0.1]")],
+)
+def test_a_guided_pad_may_press_the_box_that_it_pushes_on_the_table(head, place):
+    """Friction t of the pad, up to half of its load N, loads the table; the guide bears it.
+
+    With ``3 a = 30 - 0.5 (20 + t)`` and ``N = 30 - a`` every t from -N/2 to N/2 is a motion.
+    """
+    text = PUSHED.replace("HEAD", head).replace("PLACE", place)
+    result = Runner(interpret(read_text(text))).run()
+    least, most = ((20 - 7.5 * sign) / (3 - 0.25 * sign) for sign in (1, -1))
+    assert least <= result.outputs["v"] / 0.1 <= most
+    [warning] = [text for text in result.trace.warnings if "changes the motion" in text]
+    assert warning.startswith("from t = 0 ")
+    assert "box/table share the load" in warning
