@@ -295,11 +295,14 @@ class StepTruths:
         (first, now), (fall, _) = (
             self.table(times, last.states[-2:], solved, order)[..., 0] for order in (0, 1)
         )
+        # An impact hides when margins reach their bounds, but for those of time alone.
         struck = last.struck[-1].any()
+        known = self._watch.scheduled | ~struck
         # Part of the step that may follow the jump: all of it, if no margin falls to its bound.
-        reach = (first >= 0.0) & (now + AT_END * last.h * fall < 0.0) & ~struck
+        reach = (first >= 0.0) & (now + AT_END * last.h * fall < 0.0) & known
         crossed = first[reach] / (first - now)[reach]
-        part = max(1.0 - _REACH - crossed.min(), 0.0) if crossed.size else 1.0
+        rest = max(1.0 - _REACH - crossed.min(), 0.0) if crossed.size else 1.0
+        part = np.where(known, rest, 1.0)
         early = ends.margins - part * last.h * ends.rates < -ends.zero
         jumps = early & (np.abs(ends.margins - now) > ends.zero)
         rows, codes = np.vstack([now < 0.0, ends.true, ends.true | jumps]), end.codes[None]
@@ -357,7 +360,7 @@ class StepTruths:
         """
         margins = np.vstack([self._start, self._at.margins])
         falls = (margins[:-1] >= 0.0) & self._at.true & (margins[1:] < margins[:-1])
-        falls &= ~self._watch.timed
+        falls &= ~self._watch.scheduled
         if falls.any():
             touch = self._touches(chunk)
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -450,7 +453,7 @@ class StepTruths:
         # A margin that has just come to zero was braked, and need not cross: a strict guard waits
         # until it leaves zero. Times do cross, constants do not.
         least = self._setup.rounded * size
-        near = (~self._watch.timed | (rate == 0.0)) & (np.abs(margin) <= least)
+        near = (~self._watch.scheduled | (rate == 0.0)) & (np.abs(margin) <= least)
         rises: Bools = h * rate > least
         if near.any():
             second = self.table(times, states, solved, 2)[..., 0]

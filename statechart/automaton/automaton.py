@@ -161,6 +161,16 @@ class Automaton:
         parameters = dict(zip(self.parameter_names, values.tolist(), strict=True))
         return Trace(self.name, self.region_names, self.names, parameters, **found)
 
+    @cached_property
+    def signs_of_time(self) -> Tape | None:
+        """Functions of time alone whose signs are in the equations; None without any."""
+        if not self.switching:
+            return None
+        signs = {sign for equation in self.equations for sign in equation.atoms(sp.sign)}
+        fixed = {self.time, *self.parameters}
+        functions = [s.args[0] for s in sp.ordered(signs) if self.time in s.free_symbols <= fixed]
+        return self.tape(functions) if functions else None
+
     def tape(
         self,
         expressions: Sequence[sp.Expr],

@@ -72,8 +72,9 @@ class GuardWatch:
     symbols of conditions in the mode.
 
     `margins` names the atoms of all guards, `firsts` is the place of the first atom of each guard.
-    `timed` atoms depend smoothly on time alone, `closed` atoms include their boundary. `single` is
-    true if every guard has one atom. `of_state` are the names of guards that read more than time.
+    `timed` atoms depend smoothly on time alone, `scheduled` atoms so between jumps; `closed` atoms
+    include their boundary. `single` is true if every guard has one atom. `of_state` are the names
+    of guards that read more than time.
     """
 
     def __init__(
@@ -95,6 +96,7 @@ class GuardWatch:
         names: list[str] = []
         firsts: list[int] = []
         timed: list[bool] = []
+        scheduled: list[bool] = []
         closed: list[bool] = []
         self.of_state = set[str]()
         order = {v: place for place, v in enumerate(rates)}
@@ -110,11 +112,13 @@ class GuardWatch:
                 self.atoms.append(found)
                 alone = free_symbols(margin) <= {time, *timers, *parameters}
                 timed.append(alone and not found.kinked)
+                scheduled.append(all(r == 0 for _, r in moving) and not found.kinked)
                 if not alone:
                     self.of_state.add(guard.name)
                 closed.append(not atom.strict)
         self.margins, self.firsts = tuple(names), tuple(firsts)
         self.timed, self.closed = np.array(timed, np.bool_), np.array(closed, np.bool_)
+        self.scheduled = np.array(scheduled, np.bool_)
 
     def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
         """Return (a, 2): margins, and the sizes of their terms."""

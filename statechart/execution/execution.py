@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -32,6 +33,7 @@ from statechart.execution.outcome import TWO_BOUNDS, Progress, error_of
 from statechart.execution.zeno import Accumulation, summed
 from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import term_sizes
+from statechart.kernels.tapes import SIGN
 from statechart.tabular import pluralise
 
 if TYPE_CHECKING:
@@ -42,6 +44,8 @@ if TYPE_CHECKING:
 _STEEP = 1e6
 # Factor by which the tolerance of an undecidable margin is widened, and its limit.
 _WIDENING, _MAX_WIDENING = 16.0, 1e4
+# Distance in time, in its last digits, at which enclosures tell a time from a sign's change.
+_PASSED = 8.0
 # First horizon of a flow without a scale, whose powers do not overflow.
 FARTHEST = 1e12
 
@@ -86,6 +90,7 @@ class Execution:
         self._boundary: Crossing | None = None  # where the rates end
         self._livelock = Livelock(min(self.horizon, self.until))
         self._filippov = Filippov(self.modes) if self.automaton.switching else None
+        self._signs_of_time = self.automaton.signs_of_time
         self.passed_roles: dict[int, Roles] = {}  # see `Trace`
         self._switched: tuple[Any, ...] = ()  # key of the current flow, see `_switch`
         self._switch_tolerances: dict[str, float] = {}  # in the current flow
@@ -320,6 +325,15 @@ class Execution:
         for text in found.warnings:
             self.warnings.setdefault(f"t = {self.clock.high:.6g}: {text}", None)
 
+    def _pass_sign_changes(self) -> None:
+        """Advance the clock by round-off where a sign of the time changes: forces jump there."""
+        signs, time = self._signs_of_time, self.clock.high
+        step = _PASSED * math.ulp(time)
+        if signs is not None and time > 0.0:
+            sides = [signs.values(self.state, self.setup.values, time + d) for d in (-step, step)]
+            if (sides[0] * sides[1] <= 0.0).any():
+                self.clock = self.clock.later(step)
+
     def _measure(self) -> None:
         """Update the engine's sizes of variables: their largest magnitudes so far.
 
@@ -400,13 +414,8 @@ class Execution:
         if graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.6g}"] = None
-        if margin.kind in ("force", "hold") and not graze:
-            value = compiled.guards.values(self.state, self.setup.values, self.clock.high)[guard]
-            if -value > _MAX_WIDENING * self.setup.tolerances[margin.kind]:
-                self.warnings[
-                    f"{margin.name} is known to {-value:.2g} only where it falls at "
-                    f"t = {self.clock.high:.6g}: nearly dependent constraints magnify round-off"
-                ] = None
+        if not graze:
+            self._magnified(margin.name, margin.kind)
         if stops:
             taped = self.modes.taped(self.flow.moving, self.zeros)
             at, laws = self._instant(margin.name), self.automaton.laws_of_events
@@ -486,6 +495,7 @@ class Execution:
         laws = self.automaton.laws_of_events
         self.instants += 1
         projected = False
+        self._pass_sign_changes()
         if fired and is_of_switch(fired[0]):
             if not self.automaton.stop_margins:
                 self._livelock.switched(self.clock, self.until)
@@ -544,6 +554,10 @@ class Execution:
                     )
                 elif dict(self.entered[self.flow.moving].watched).get(fired[0]) == "plain":
                     advice = f"; {TWO_BOUNDS}"
+                elif SIGN in self.entered[self.flow.moving].guards.code[:, 0]:
+                    advice = (
+                        "; a sign jumps there: take the engine taylor, or a state for each side"
+                    )
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                     + advice
@@ -613,13 +627,35 @@ class Execution:
         if kind is None or not (self.grazed or kind == "speed"):
             return False
         default = self.setup.tolerances[kind]
-        widened = _WIDENING * self.flow.tolerances.get(margin, default)
-        if widened > _MAX_WIDENING * default:
+        # An enclosure that reaches from here to zero is below zero at twice its width.
+        magnified = 2.0 * self._magnified(margin, kind)
+        widened = magnified or _WIDENING * self.flow.tolerances.get(margin, default)
+        if not magnified and widened > _MAX_WIDENING * default:
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: widened})
-        warning = f"{margin} is zero to round-off; its tolerance there is {widened:.3g}"
-        self.warnings[f"t = {self.clock.high:.6g}: {warning}"] = None
+        if not magnified:
+            warning = f"{margin} is zero to round-off; its tolerance there is {widened:.3g}"
+            self.warnings[f"t = {self.clock.high:.6g}: {warning}"] = None
         return True
+
+    def _magnified(self, margin: str, kind: str) -> float:
+        """Return the distance of a force from its bound where round-off hides it, with a warning.
+
+        0.0 for distances that wider tolerances explain.
+        """
+        compiled, time = self.entered[self.flow.moving], self.clock.high
+        # Forces with a sign jump.
+        if kind not in ("force", "hold") or SIGN in compiled.guards.code[:, 0]:
+            return 0.0
+        values = compiled.guards.values(self.state, self.setup.values, time)
+        size = abs(values.item(compiled.names.index(margin)))
+        if size <= _MAX_WIDENING * self.setup.tolerances[kind]:
+            return 0.0
+        self.warnings[
+            f"{margin} is known to {size:.2g} only where it falls at t = {time:.6g}: nearly "
+            "dependent constraints magnify round-off"
+        ] = None
+        return size
 
     def show(self, local: float = 0.0, steps: int = 0) -> None:
         """Report progress, if it is enabled."""

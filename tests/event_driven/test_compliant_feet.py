@@ -1,5 +1,7 @@
 """Bodies on two compliant feet that stick: level feet are dependent, tilted ones are not."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -105,9 +107,12 @@ stop: {time: 0.11}
 """  # noqa: E501
 
 
-@pytest.mark.parametrize("angle", [3e-5, 8e-5, 1e-3])
+@pytest.mark.parametrize(
+    ("angle", "settings"),
+    [(3e-5, {}), (8e-5, {}), (1e-3, {}), (3e-5, {"engine": "scipy", "tolerance": 1e-8})],
+)
 def test_the_slip_of_feet_that_are_nearly_level_tells_the_round_off_of_their_forces(
-    angle: float,
+    angle: float, settings: dict[str, Any]
 ) -> None:
     """At rest H = +-r t/(0.4 sin a) of the two feet, on top of half the weight along the slope."""
     across = [np.cos(angle) * x + 0.1 * np.sin(angle) for x in (-0.2, 0.2)]
@@ -122,10 +127,10 @@ def test_the_slip_of_feet_that_are_nearly_level_tells_the_round_off_of_their_for
     # The slip is due at 0.1.
     text = TILTED.replace("ANGLE", repr(angle)).replace("MOMENT", repr(float(moment)))
     text = text.replace("RATE", repr(float(first * 4.0 * np.sin(angle))))
-    result = run(read_text(text))
+    result = run(read_text(text), **settings)
     jump = result.trace.jumps[0]
     assert (jump.cause, jump.fired) == ("slip", (force,))
-    (warning,) = result.warnings
+    (warning,) = [warning for warning in result.warnings if "is known to" in warning]
     known = float(warning.removeprefix(f"{force} is known to ").split()[0])
     # The margin falls by `first` in 0.1. Its enclosure is wider than the round-off of its value.
     assert jump.t - 0.1 == pytest.approx(known * 0.1 / first, rel=0.3)

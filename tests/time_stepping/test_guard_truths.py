@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -289,3 +290,23 @@ def test_a_body_that_lands_without_restitution_rests_on_its_surface(
         # Half of the touches come in the second half of a step, and count as at its end.
         pytest.approx((height / 5.0) ** 0.5, abs=0.501 * (step or 1e-9))
     ]
+
+
+@pytest.mark.parametrize("window", [False, True])
+@pytest.mark.parametrize("period", [0.3, 0.3002, 0.301])
+@pytest.mark.parametrize("height", [0.4501, 0.4515, 0.4529])
+def test_a_period_that_ends_in_the_step_of_a_landing_ends_once_and_in_time(
+    height: float, period: float, window: bool
+) -> None:
+    """The ball touches between 0.30003 and 0.30096; the window is 4e-4 long."""
+    guard = "mod(time, T) < 4e-4 and time > 0.1" if window else "b.x < mod(time, T) - 2"
+    text = BALL.replace("GUARD", guard).replace("E}", "0}").replace("y: 0.45", f"y: {height}")
+    text = text.replace("time: 0.6", "time: 0.5")
+    run = statechart.run(
+        read_text(text + f"parameters: {{T: {period}}}\n"), engine="impulse", step=STEP
+    )
+    times = [jump.t for jump in run.trace.jumps if jump.region == "mod"]
+    assert times == pytest.approx([math.ceil(round(period / STEP, 9)) * STEP], abs=1e-9)
+    assert not any("unwrap" in warning for warning in run.warnings)
+    passed = window and period == 0.3002
+    assert any("go is true within the step" in w for w in run.warnings) == passed
