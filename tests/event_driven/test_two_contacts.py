@@ -237,3 +237,31 @@ def test_a_box_leaves_a_shaken_table_whatever_the_friction(engine: str, mu: floa
         first = trace.jumps[0]
         assert (first.cause, first.target) == ("liftoff", ("free", "free"))
         assert first.t == pytest.approx(math.asin(9.81 / (a * 47**2)) / 47, abs=1e-9)
+
+
+def test_a_tip_that_the_closing_of_the_other_moves_into_the_floor_may_leave() -> None:
+    """A rod comes to rest on both tips; B closes while A flies from just above -tolerance."""
+    text = """
+kind: scene
+name: rod
+gravity: 1
+bodies:
+  rod:
+    mass: 1
+    inertia: 2.515723190519573
+    start:
+      {x: 3.7671466618583125, y: 3.0223765752298145e-11, angle: -1.5707963268251184,
+       dx: -1.4910141555842003e-16, dy: -3.566762450876755e-06, dangle: 4.933577553410055e-06}
+surfaces: {floor: {height: 0}}
+contacts:
+  A:
+    {point: {body: rod, at: [0, -1]}, surface: floor, friction: 0.284449634620876,
+     restitution: 0.6713075742194778}
+  B:
+    {point: {body: rod, at: [0, 1]}, surface: floor, friction: 0.284449634620876,
+     restitution: 0.6713075742194778}
+stop: {time: 0.01}
+"""
+    trace = Runner(read_text(text), tolerance=1e-13).run().trace
+    assert trace.final_mode == ("pin", "pin")
+    assert trace.final == pytest.approx([3.7671466618583125, 0, -math.pi / 2, 0, 0, 0], abs=1e-12)
