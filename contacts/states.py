@@ -117,6 +117,14 @@ def undetermined_warning(names: Iterable[str]) -> str:
     return f"the forces of {', '.join(names)} are indeterminate: the smallest are shown"
 
 
+def open_motion_warning(names: Iterable[str], time: float) -> str:
+    """Return the warning of contacts whose load sharing decides on the motion."""
+    return (
+        f"from t = {time:.6g} how {', '.join(names)} share the load changes the motion, and "
+        "nothing determines it: another engine or step may differ"
+    )
+
+
 def implied_joints(names: Iterable[str]) -> str:
     """Return the message on redundant joints, from the names of their rows."""
     return (

@@ -81,23 +81,22 @@ def weak_coupling_warnings(
     ]
 
 
-def check_places(mechanics: Mechanics, snapshot: Snapshot) -> None:
-    """Refuse an initial state at which the position or velocity of a contact is not finite."""
-    for name, contact in zip(mechanics.scene.frictional, snapshot.contacts, strict=True):
-        if not all(map(math.isfinite, contact[1:5])) or math.isnan(contact.gap):
-            if name in mechanics.scene.contacts and isinstance(
-                mechanics.scene.surface_of(name), Reach
-            ):
-                raise DeclarationProblem(
-                    f"rope {name!r} has both ends at one place at the start, and no direction",
-                    advice="move one of them",
-                    loc=("joints", name),
-                )
-            raise DeclarationProblem(
-                "its place at the start is not finite",
-                advice="look for a logarithm, a root or a quotient without a value there",
-                loc=("contacts", name),
-            )
+def check_place(scene: Scene, name: str, motion: Sequence[float]) -> None:
+    """Refuse a contact at whose start its gap, a rate or a slip is not finite."""
+    gap, *rates = motion
+    if not math.isnan(gap) and all(map(math.isfinite, rates)):
+        return
+    if name in scene.contacts and isinstance(scene.surface_of(name), Reach):
+        raise DeclarationProblem(
+            f"rope {name!r} has both ends at one place at the start, and no direction",
+            advice="move one of them",
+            loc=("joints", name),
+        )
+    raise DeclarationProblem(
+        "its place at the start is not finite",
+        advice="look for a logarithm, a root or a quotient without a value there",
+        loc=("contacts", name),
+    )
 
 
 def check_start(

@@ -27,7 +27,7 @@ from contacts.dynamics.starting import (
     check_closing,
     check_joints,
     check_limits,
-    check_places,
+    check_place,
     check_start,
     hovering_warnings,
     weak_coupling_warnings,
@@ -146,9 +146,10 @@ class SceneLaws:
             for law, why, contact in zip(setup.contacts, failing, snapshot.contacts, strict=True)
         )
         snapshot = hidden(snapshot, off)
-        check_places(self._mechanics, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         scene = self._mechanics.scene
+        for name, contact in zip(scene.frictional, snapshot.contacts, strict=True):
+            check_place(scene, name, contact[:5])
         for name, law, contact in zip(
             scene.contacts, setup.contacts, snapshot.contacts, strict=False
         ):

@@ -461,6 +461,11 @@ class _ConvexPiece(NamedTuple):
     span: float
 
 
+# Inscribed radius about the centre of mass, relative to that about the mean of the corners, below
+# which the centre is at the boundary: bodies that touch would pass each other.
+_INSIDE = 0.1
+
+
 def _outline(body: Body, number: Number) -> list[_ConvexPiece]:
     pieces = []
     for shape in body.shape:
@@ -470,11 +475,13 @@ def _outline(body: Body, number: Number) -> list[_ConvexPiece]:
             pieces.append(_ConvexPiece(np.empty((0, 2)), middle, radius, radius, radius, span))
             continue
         corners = np.array([[number(x), number(y)] for x, y in shape.polygon or ()])
-        # A single piece is described about the centre of mass.
-        middle = np.zeros(2) if len(body.shape) == 1 else corners.mean(axis=0)
-        own = corners - middle
+        middle = corners.mean(axis=0)
+        own, core = corners - middle, _core((corners - middle).tolist())
+        # A single piece is described about the centre of mass, unless that is at its boundary.
+        if len(body.shape) == 1 and (about := _core(corners.tolist())) > _INSIDE * core:
+            middle, own, core = np.zeros(2), corners, about
         size, span = (float(np.hypot(*c.T).max()) for c in (own, corners))
-        pieces.append(_ConvexPiece(corners, middle, 0.0, size, _core(own.tolist()), span))
+        pieces.append(_ConvexPiece(corners, middle, 0.0, size, core, span))
     return pieces
 
 

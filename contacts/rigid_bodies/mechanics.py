@@ -101,7 +101,8 @@ def energy_root(numbers: BodyNumbers, state: Array) -> Array:
     """Return R (n, n) with ``R R^T = M^-1``: squared rates in coordinates R^-1 q are energies."""
     root, first = np.zeros((numbers.size, numbers.size)), 3 * numbers.free
     root[:first, :first] = np.diag(np.sqrt(numbers.inverse[: numbers.free]).ravel())
-    root[first:, first:] = np.linalg.cholesky(np.linalg.inv(numbers.inertia(state[None])[0][0]))
+    if numbers.links.bodies:
+        root[first:, first:] = np.linalg.cholesky(np.linalg.inv(numbers.inertia(state[None])[0][0]))
     return root
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from typing import NamedTuple, Self
 
@@ -11,9 +12,11 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import (
     BOTH,
+    KINETIC,
     TURN,
     BodyNumbers,
     WarmStart,
+    split_key,
 )
 from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.joints import joint_forces
@@ -30,9 +33,10 @@ from contacts.rigid_bodies.declared_numbers import (
 from contacts.rigid_bodies.default_step import inner_radii
 from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
+from contacts.rigid_bodies.shared_loads import MAX_BODIES, BearingForces
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.scene.parts import Point
-from contacts.states import CLOSED
+from contacts.states import CLOSED, FREE
 from contacts.time_stepping.chunk import (
     BAD_INERTIA,
     COARSE,
@@ -50,6 +54,7 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.errors import (
     NoConsistentMode,
     NonFinite,
+    SimulationError,
     SingularMode,
     StepTooLarge,
     UnsolvedImpulses,
@@ -170,6 +175,9 @@ _ADDED = 0.5
 _PARTS = (4, 16, 64, 256)
 # Depth change, relative to the body, by which a path has jumped into it.
 _JUMPED_INTO = 1e-6
+# Modes in which loads are checked, attempts including those in steps that are reverted, and steps
+# that a mode lasts before one.
+_CHECKS, _ATTEMPTS, _LASTING = 8, 32, 3
 # Cutting planes against overlap; part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
 # Contacts of the warm start with this feature are detected again.
@@ -282,6 +290,14 @@ class RigidBodyRun(SteppedSystem):
         self._no_ground = MissingGround(names, surfaces, numbers)
         self._implied = dict[str, None]()  # Warnings of redundant joints.
         self._penetration = Penetration(names, numbers, start_depth)
+        # Only what holds bodies, or different friction, makes a shared load matter.
+        held = len(numbers.joints.kinds) + len(numbers.couplings.holds) + numbers.links.bodies > 0
+        mixed = (numbers.materials != numbers.materials[:1])[:, KINETIC : KINETIC + 2].any()
+        few = 0 < count <= MAX_BODIES
+        self._checks_loads = options.forces and few and bool(held or mixed)
+        # Modes in which loads were checked, and warnings of them; both before the last steps.
+        self._checks, self._loads = 0, (frozenset[bytes](), dict[str, str]())
+        self._saved_loads = self._loads
         # The rotation of a centred disc is irrelevant.
         pieces, seen = numbers.pieces, np.ones(len(names), dtype=np.bool_)
         seen[pieces.bodies] = pieces.spans != pieces.radii
@@ -369,6 +385,7 @@ class RigidBodyRun(SteppedSystem):
         self._saved = self._saved.enlarged_to(self._warm)
         self._warm = self._saved.copy()
         self._added, self._moved, self._gain_error = self._before
+        self._loads = self._saved_loads
         self._prescribed.forget()
 
     @property
@@ -406,13 +423,49 @@ class RigidBodyRun(SteppedSystem):
     def detect(self, state: Array, time: float, h: float) -> DetectedContacts:
         """Return the contacts of a step of `h` from a state; the run itself does not change."""
         before, prescribed = self._warm, self._prescribed
-        self._warm, self._prescribed = WarmStart.allocate(self.numbers), copy(prescribed)
-        chunk, status = self._accepted_steps(time, h, state, 1, math.inf)
-        self._check_finite(chunk, status)
-        modes = chunk.codes[0, self._moving :]
-        detected = DetectedContacts.of(self._workspace, self._warm, self.numbers, modes)
-        self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
-        return detected
+        # As large as the workspace: steps check the capacity of that only.
+        self._warm = WarmStart.allocate(self.numbers).enlarged_to(before)
+        self._prescribed = copy(prescribed)
+        try:
+            chunk, status = self._accepted_steps(time, h, state, 1, math.inf)
+            self._check_finite(chunk, status)
+            modes = chunk.codes[0, self._moving :]
+            return DetectedContacts.of(self._workspace, self._warm, self.numbers, modes)
+        finally:
+            self._warm, self._prescribed = before.enlarged_to(self._warm), prescribed
+
+    def _check_loads(self, start: float, chunk: Chunk) -> None:
+        """Note the first loads that are shared in several ways, where modes of bodies end."""
+        modes, numbers = chunk.modes, self.numbers
+        if not self._checks_loads or not len(modes):
+            return
+        changes = np.append(np.any(modes[1:] != modes[:-1], axis=1), True)
+        ends = np.flatnonzero(changes)
+        begins = np.append(0, ends[:-1] + 1)
+        lasting = (ends - begins >= _LASTING - 1) & ~chunk.struck[ends].any(axis=1)
+        for first, k in zip(begins[lasting].tolist(), ends[lasting].tolist(), strict=True):
+            key, (checked, warnings) = modes[k].tobytes(), self._loads
+            if key in checked or not (modes[k, : self._moving] != FREE).any():
+                continue
+            if len(checked) == _CHECKS or self._checks == _ATTEMPTS:
+                return
+            self._checks += 1
+            state, time = chunk.states[k], start + k * chunk.h
+            with suppress(SimulationError):  # The run may end there.
+                found = self.detect(state, time, chunk.h)
+                titles = [*self._prescribed.joints], [*self._prescribed.scene.couplings]
+                forces = BearingForces.of(
+                    numbers, self._workspace, len(found.keys), found.couplings, titles, state
+                )
+                if forces is not None:
+                    pair, time = self._pair_names(found.keys), start + first * chunk.h
+                    warnings = forces.warnings(time, pair) | warnings
+            self._loads = checked | {key}, warnings
+
+    def _pair_names(self, keys: Ints) -> Callable[[int], str]:
+        """Return a function of a contact that returns the names of its pair."""
+        names = [*(self._names[b] for b in self.numbers.pieces.bodies), *self.surfaces]
+        return lambda i: "/".join(names[piece] for piece in split_key(self.numbers, keys[i]))
 
     def slips(self, state: Array, time: float) -> Array:
         """Return the slips of couplings; see `SteppedSystem`."""
@@ -462,6 +515,7 @@ class RigidBodyRun(SteppedSystem):
             *self._implied,
             *self._no_ground.remarks,
             *(text + advice for text, _ in too_long),
+            *self._loads[1].values(),
         )
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
@@ -469,6 +523,7 @@ class RigidBodyRun(SteppedSystem):
         # Steps beyond a jump are reverted.
         self._saved = self._warm.copy()
         self._before = (self._added, self._moved, self._gain_error)
+        self._saved_loads = self._loads
         self._prescribed.save()
         if self._gain_error is not None:
             raise self._gain_error
@@ -493,6 +548,7 @@ class RigidBodyRun(SteppedSystem):
         gaps = chunk.gaps[:, : self._moving]
         self._min_gaps = np.minimum(self._min_gaps, gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
+        self._check_loads(start, chunk)
         self._prescribed.advance(len(chunk.codes))
         turns = chunk.h * np.abs(self.numbers.motion(chunk.states[1:])[1][:, self._angular, 2])
         struck = chunk.struck[:, self._angular]

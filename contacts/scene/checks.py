@@ -255,6 +255,8 @@ class Limit(NamedTuple):
 
 
 _MAX_NUMBER = sys.float_info.max
+# A float of this many radians is known to 1.5e-8.
+_MAX_ANGLE = 1e8
 _POSITIVE = math.ulp(0.0), _MAX_NUMBER, "must be positive, not {:g}"
 _PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
 # Beyond these masses energies are no floats, or the round-off of forces.
@@ -290,6 +292,13 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
             yield Limit(count.loc, count.period, *_POSITIVE[:2], words, WRAP_ADVICE)
     for name, body in scene.bodies.items():
         at = ("bodies", name)
+        angle = body.start.get("angle", 0)
+        if parse(angle).names <= scene.parameters.keys():
+            words = f"must be at most {_MAX_ANGLE:g} rad in size, not {{:g}}"
+            yield Limit(
+                (*at, "start", "angle"), angle, -_MAX_ANGLE, _MAX_ANGLE, words,
+                "floats of larger angles are too far apart; subtract whole turns",
+            )  # fmt: skip
         if not body.prescribed:
             yield Limit((*at, "mass"), body.mass, *_POSITIVE)
             yield Limit((*at, "mass"), body.mass, *_LIGHT)

@@ -16,6 +16,7 @@ from statechart.charts.transitions import BaseRegion, BaseState, check_changes, 
 from statechart.charts.wrapping import STATE, Count
 from statechart.documents.documented import declare
 from statechart.documents.fields import (
+    FiniteConstantText,
     FiniteText,
     FormulaText,
     NameText,
@@ -70,7 +71,7 @@ ControlState.model_rebuild()
 class Controller(ControlRegion):
     """A region of the scene beside its contacts: forces and coefficients jump with its state."""
 
-    variables: dict[ValueName, FiniteText] = declare(
+    variables: dict[ValueName, FiniteConstantText] = declare(
         "Variables of the controller and their initial values.",
         {"seen": 0},
         unit="that of each",

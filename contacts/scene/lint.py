@@ -327,12 +327,13 @@ def _passed_instants(scene: SceneFields, values: Mapping[str, float]) -> Iterato
     """Yield relations of positions that hold at an instant only, which steps pass over."""
     import sympy as sp
 
-    relations = {f"stop.conditions.{n}": text for n, text in scene.stop.conditions.items()}
+    relations = [(f"stop.conditions.{n}", text) for n, text in scene.stop.conditions.items()]
     for name, region in scene.regions.items():
         for transition, loc in declared_transitions(region, "regions", name):
             if transition.guard is not None:
-                relations[".".join(map(str, (*loc, "guard")))] = transition.guard
-    for where, text in relations.items():
+                place = ("joints", name, "enabled") if name in scene.joints else (*loc, "guard")
+                relations.append((".".join(map(str, place)), transition.guard))
+    for where, text in relations:
         relation = parse_relation(text)
         symbols = {name: sp.Symbol(name, real=True) for name in relation.names}
         known = {**symbols, **{name: sp.Float(value) for name, value in values.items()}}

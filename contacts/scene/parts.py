@@ -298,6 +298,7 @@ class Surface(Part):
         "velocity": "displacement: [v*time, 0]",
         "x": "line: [[1, -1], [1, 1]], a wall; the solid is on the right of its direction",
         "one_way": "enabled: ball.dy <= 0 of the contact",
+        "pivot axis": "turn: ANGLE, about the origin or the point `through` of an incline",
     }
 
     height: FiniteText | None = declare(

@@ -79,17 +79,17 @@ def dependent_rows(rows: Array) -> Bools:
     return dependent
 
 
-def rank(sizes: Array) -> int:
-    """Return the number of singular values (largest first) above `USER_DIGITS`, relative."""
-    return int(np.count_nonzero(sizes > USER_DIGITS * sizes[0]))
+def rank(sizes: Array, threshold: float = USER_DIGITS) -> int:
+    """Return the number of singular values (largest first) above a relative threshold."""
+    return int(np.count_nonzero(sizes > threshold * sizes[0]))
 
 
-def null_space(rows: Array) -> Array:
+def null_space(rows: Array, threshold: float = USER_DIGITS) -> Array:
     """Return an orthonormal basis (n, k) of the null space of rows (m, n)."""
     if not rows.size:
         return np.eye(rows.shape[1])
     _, sizes, right = np.linalg.svd(rows)
-    return right[rank(sizes) :].T
+    return right[rank(sizes, threshold) :].T
 
 
 def least_squares(rows: Array, right: Array) -> tuple[Array, Array]:

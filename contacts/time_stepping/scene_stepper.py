@@ -20,6 +20,7 @@ from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import (
     check_joints,
     check_limits,
+    check_place,
     check_start,
     hovering_warnings,
 )
@@ -41,6 +42,7 @@ from contacts.states import (
     SLIDE_PLUS,
     SLIPS,
     STATES,
+    open_motion_warning,
 )
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
@@ -519,10 +521,7 @@ class SteppedScene(SteppedSystem):
             if spare > acts(self._cones[bears]):
                 names = np.array(source.names)[bears]
                 shared = [i for i in range(len(names)) if acts(smooth, i) < spare]
-                loads[key] = (
-                    f"from t = {time:.6g} how {', '.join(names[shared])} share the load changes "
-                    "the motion, and nothing determines it: another engine or step may differ"
-                )
+                loads[key] = open_motion_warning(names[shared], time)
 
     def _count_allowed(self, chunk: Chunk, start: float) -> int:
         """Return the number of steps in declared modes; replace a stick that only passes.
@@ -712,6 +711,8 @@ class SceneStepper(Stepper):
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
             buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
             off[i] = failing[i] != "" or (OFF in law.states and buried)
+            if not off[i]:
+                check_place(self._scene, law.name, row[:3])
             if law.coupling or self._scene.contacts[law.name].stiffness is not None:
                 continue
             if not off[i]:

@@ -76,7 +76,7 @@ class Chart(Declaration):
     }
 
     kind: Literal["chart"] = declare("Kind of the document.", "chart", default="chart")
-    variables: dict[fields.ValueName, fields.FiniteText] = declare(
+    variables: dict[fields.ValueName, fields.FiniteConstantText] = declare(
         "Variable to its initial value.", {"x": "height", "v": 0}, unit="that of each", default={}
     )
     regions: dict[fields.NameText, Region] = declare(

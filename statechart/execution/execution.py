@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 _STEEP = 1e6
 # Factor by which the tolerance of an undecidable margin is widened, and its limit.
 _WIDENING, _MAX_WIDENING = 16.0, 1e4
+# Distance in time, in its last digits, at which enclosures tell a time from a sign's change.
+_PASSED = 8.0
 # First horizon of a flow without a scale, whose powers do not overflow.
 FARTHEST = 1e12
 
@@ -324,10 +326,13 @@ class Execution:
             self.warnings.setdefault(f"t = {self.clock.high:.6g}: {text}", None)
 
     def _pass_sign_changes(self) -> None:
-        """Advance the clock by round-off where a sign of the time is zero: forces jump there."""
+        """Advance the clock by round-off where a sign of the time changes: forces jump there."""
         signs, time = self._signs_of_time, self.clock.high
-        if signs and not signs.values(self.state, self.setup.values, time).all():
-            self.clock = Clock(math.nextafter(time, math.inf))
+        step = _PASSED * math.ulp(time)
+        if signs is not None and time > 0.0:
+            sides = [signs.values(self.state, self.setup.values, time + d) for d in (-step, step)]
+            if (sides[0] * sides[1] <= 0.0).any():
+                self.clock = self.clock.later(step)
 
     def _measure(self) -> None:
         """Update the engine's sizes of variables: their largest magnitudes so far.
@@ -549,6 +554,10 @@ class Execution:
                     )
                 elif dict(self.entered[self.flow.moving].watched).get(fired[0]) == "plain":
                     advice = f"; {TWO_BOUNDS}"
+                elif SIGN in self.entered[self.flow.moving].guards.code[:, 0]:
+                    advice = (
+                        "; a sign jumps there: take the engine taylor, or a state for each side"
+                    )
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                     + advice

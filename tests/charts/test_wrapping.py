@@ -287,6 +287,21 @@ def test_charts_on_time_alone_need_no_variables(
     assert result.outputs["green"] == pytest.approx(green, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    "head",
+    ["kind: chart\n", "kind: scene\nbodies: {ball: {mass: 1}}\n"],
+)
+def test_a_variable_may_start_at_a_jumping_function_of_parameters(head: str) -> None:
+    text = "name: n\nparameters: {a: 7, b: 2}\nregions:\n  r: {initial: s, states: {s: {}}VALUES}\n"
+    starts = "variables: {n: 'floor(a/b)', m: 'mod(a, b)'}"
+    own = head.startswith("kind: scene")
+    text = head + text.replace("VALUES", f", {starts}" if own else "")
+    text += "stop: {time: 1}\n" + ("" if own else f"{starts}\n")
+    trace = run(read_text(text)).trace
+    values = dict(zip(trace.variables, trace.final.tolist(), strict=True))
+    assert (values["n"], values["m"]) == (3, 1)
+
+
 # A position encoder of width q, and an input of the value it shows, held for T.
 SAMPLED = """
     initial: a

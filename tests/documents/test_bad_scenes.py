@@ -94,6 +94,14 @@ def test_a_point_too_far_for_floats_is_reported_at_its_place(size: str) -> None:
     assert words in str(error)
 
 
+def test_an_angle_too_large_for_floats_is_reported_at_its_place() -> None:
+    text = "kind: scene\nname: n\nbodies: {b: {mass: 1, inertia: 1, start: {angle: a}}}\n"
+    runner = Runner(read_text(text + "parameters: {a: 1}\nstop: {time: 0.1}\n"))
+    assert runner.run({"a": 1e8}).trace.outcome.succeeded
+    with pytest.raises(DeclarationError, match=r"start\.angle.* at most 1e\+08 rad .*turns$"):
+        runner.run({"a": 1e300})
+
+
 def test_an_error_in_a_list_has_the_place_of_the_item() -> None:
     text = SCENE.replace("mass: m", "mass: m, shape: {polygon: [[-e, 0], [e, 0], [0, 1]]}")
     with pytest.raises(

@@ -54,6 +54,7 @@ MISTAKES = {
     "blank left out": ("  rod: {", "  rod:\n    copies:1\n    copies: 2\n  stick: {",
                        "'copies:1' has no colon with a blank behind it; write copies: 1"),
     "rates of Box2D": ("mass: m,", "linearVelocity: [1, 0], mass: m,", "start: {dx: ..., dy: ...}"),
+    "pivot of a plate": ("{height: 0}", "{height: 0, pivot: [1, 0]}", "write turn: ANGLE, about t"),
     "half space": ("{height: 0}", "{type: HalfSpace}", "write height: 0, incline: ANGLE, or line:"),
     "dissipation": ("restitution: e", "hunt_crossley_dissipation: 1", "write stiffness, and dampi"),
     "dynamic friction": ("friction: mu", "dynamic_friction: 1", "write friction: a number for bot"),

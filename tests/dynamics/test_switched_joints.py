@@ -242,6 +242,15 @@ def test_a_mistake_in_a_joint_is_reported(old: str, new: str, reported: str) -> 
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))
 
 
+def test_steps_refuse_a_rope_without_direction_as_events_do() -> None:
+    with pytest.raises(DeclarationError, match=r"joints\.rope: rope 'rope' has both"):
+        statechart.run(
+            interpret(read_text(_ROPE.replace("x: 0.5, dx: 1", "dx: 1"), "joint.yaml")),
+            engine="impulse",
+            step=1e-3,
+        )
+
+
 @pytest.mark.parametrize("length", ["L", "L*cos(time)"])
 def test_a_rope_without_length_is_reported_at_its_place(length: str) -> None:
     text = "parameters: {L: 1}\n" + _ROPE.replace("rope: 1,", f"rope: {length},")

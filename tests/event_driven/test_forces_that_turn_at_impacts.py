@@ -39,3 +39,22 @@ def test_friction_after_an_impact_bears_the_wind_that_has_turned(engine: str) ->
     margins = result.to_dict()["margins"]
     assert margins["c.mu V - H"] == pytest.approx(7)
     assert margins["c.mu V + H"] == pytest.approx(3)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_wind_that_turns_where_a_slide_ends_is_held(engine: str) -> None:
+    # Decelerated by 4 + 6, then pushed by 3, which friction of at most 4 bears.
+    text = """\
+kind: scene
+name: turn
+gravity: 10
+surfaces: {floor: {height: 0}}
+bodies: {b: {mass: 1, start: {dx: 4}}}
+contacts: {c: {point: {body: b}, surface: floor, friction: 0.4, restitution: 0}}
+forces: {wind: {body: b, force: ["4.5*sign(time - 0.4) - 1.5", 0]}}
+stop: {time: 1}
+"""
+    result = run(read_text(text), engine=engine)
+    assert [(jump.cause, jump.target) for jump in result.trace.jumps] == [("stick", ("pin",))]
+    assert result.trace.jumps[0].t == pytest.approx(0.4, rel=1e-12)
+    assert result.trace.final == pytest.approx([0.8, 0, 0, 0], abs=1e-10)

@@ -172,3 +172,31 @@ def test_a_load_that_jerks_a_bridge_taut_is_carried(mass, spread):
     outputs = Runner(interpret(read_text(text))).run().outputs
     assert outputs["y"] == pytest.approx(0.0231, abs=spread)
     assert outputs["most"] < 1.005 * outputs["first"]
+
+
+def test_checks_of_forces_have_room_for_all_contacts(monkeypatch):
+    """A disc under 60 ceilings: steps enlarge both arrays, and write up to the workspace's size."""
+    take, rooms = RigidBodyRun._accepted_steps, []
+
+    def noting(self, *arguments):
+        rooms.append((len(self._warm.keys), len(self._workspace.known)))
+        return take(self, *arguments)
+
+    monkeypatch.setattr(RigidBodyRun, "_accepted_steps", noting)
+    lids = [f"lid{k}" for k in range(60)]
+    lines = ", ".join(f"{lid}: {{line: [[1, 2], [0, 2]]}}" for lid in lids)
+    text = f"""
+kind: scene
+name: press
+gravity: 1
+bodies: {{disc: {{mass: 1, inertia: 1, start: {{y: 1}}, shape: {{disc: 1}}}}}}
+surfaces: {{{lines}, ground: {{height: 0}}}}
+forces: {{spring: {{body: disc, force: [0, 1e5*(1 - disc.y)]}}}}
+collisions:
+  all: {{bodies: [disc], surfaces: [{", ".join(lids)}, ground], friction: 0, restitution: 0}}
+stop: {{time: 6}}
+settings: {{engine: impulse, step: 1e-2}}
+"""
+    Runner(interpret(read_text(text))).run()
+    assert all(warm == workspace for warm, workspace in rooms)
+    assert rooms[0] != rooms[-1]

@@ -52,3 +52,40 @@ def test_wedged_bodies_keep_their_contacts_as_these_turn():
     result = Runner(read_text(SCENE)).run()
     assert result.trace.counts["inexact_steps"] == 0
     assert result.outputs["most"] == pytest.approx(result.outputs["begun"], rel=1e-9)
+
+
+@pytest.mark.parametrize("tip", [-0.3, -0.2])
+def test_a_wedge_with_its_centre_on_an_edge_drives_blocks_apart(tip):
+    """The wedge falls by as much as each block moves: ``2 a = 2 g - 2 a``.
+
+    The centres of the blocks are outside of them, that of the wedge is on its edge for -0.3.
+    """
+    text = f"""
+kind: scene
+name: wedge
+gravity: 10
+bodies:
+  w:
+    mass: 2
+    inertia: 0.1
+    shape: {{polygon: [[0, {tip}], [0.3, {tip + 0.3}], [-0.3, {tip + 0.3}]]}}
+    start: {{y: {0.15 - tip}}}
+  l:
+    mass: 1
+    inertia: 0.1
+    shape: {{polygon: [[-0.6, -0.1], [-0.05, -0.1], [-0.05, 0.1], [-0.6, 0.1]]}}
+    start: {{y: 0.1}}
+  r:
+    mass: 1
+    inertia: 0.1
+    shape: {{polygon: [[0.05, -0.1], [0.6, -0.1], [0.6, 0.1], [0.05, 0.1]]}}
+    start: {{y: 0.1}}
+surfaces: {{f: {{height: 0}}}}
+collisions: {{c: {{bodies: [l, r, w], surfaces: [f], friction: 0, restitution: 0}}}}
+stop: {{time: 0.2}}
+outputs: {{sinks: {{value: {0.15 - tip} - w.y}}, x: {{value: r.x}}}}
+settings: {{engine: impulse, step: 2e-3}}
+"""
+    result = Runner(read_text(text)).run()
+    assert not result.trace.warnings
+    assert [*result.outputs.values()] == pytest.approx([0.1, 0.1], abs=1e-9)

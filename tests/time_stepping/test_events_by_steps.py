@@ -812,6 +812,20 @@ def test_steps_warn_of_an_instant_that_they_pass_over(
         assert trace.jumps[-1].t == pytest.approx(1.25, abs=1e-9)
 
 
+def test_a_joint_that_closes_at_an_instant_only_is_reported_at_its_place() -> None:
+    text = """
+kind: scene
+name: passing
+gravity: 10
+bodies: {b: {mass: 1}}
+joints: {j: {point: {body: b}, to: {x: 0}, enabled: abs(time) <= 0}}
+stop: {time: 0.01}
+"""
+    result = statechart.run(read_text(text), engine="impulse", step=1e-3)
+    (warning,) = result.warnings
+    assert warning.startswith("joints.j.enabled: steps pass over the instant")
+
+
 @pytest.mark.parametrize(
     ("guard", "span"),
     [
