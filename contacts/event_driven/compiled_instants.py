@@ -380,8 +380,10 @@ def jump_instant(
         if target[c] != FREE:
             watch.parameters[scene.offsets[c]] = 0.0
         elif was_closed or c == struck or (struck >= 0 and (group >> c) & 1 == 1):
-            # The gap of a flight starts at its round-off.
-            watch.parameters[scene.offsets[c]] = gap if abs(gap) <= scene.gap else 0.0
+            # The gap of a flight starts at its round-off, and where others, projected onto their
+            # surfaces, moved it.
+            near = -contacts * scene.gap <= gap <= scene.gap
+            watch.parameters[scene.offsets[c]] = gap if near else 0.0
         source[c] = target[c]
     if landing >= 0:
         series = run.series[landing]

@@ -254,7 +254,8 @@ class SceneLaws:
         if any(began):
             contacts = self.tape.at(setup.values, jump.after, at.clock.high).contacts
             gaps = np.array([contact.gap for contact in contacts[:count]])
-            near = np.abs(gaps) <= setup.tolerances["gap"]
+            # Others, projected onto their surfaces, may move a contact that leaves into its own.
+            near = (gaps >= -count * setup.tolerances["gap"]) & (gaps <= setup.tolerances["gap"])
             new_offsets = np.where(began, np.where(near, gaps, 0.0), new_offsets)
         values = None
         if new_offsets.any():

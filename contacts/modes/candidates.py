@@ -64,6 +64,9 @@ _DUPLICATE = "moves like a mode that keeps more contacts closed or pinned"
 _OUTSIDE_ALL = -1
 # Relative difference of accelerations up to which two motions are equal.
 SAME_MOTION = 1e-9
+NEGLIGIBLE_TIE = 0.1
+"""Part of the tie band that is round-off of an equality (balls that touch without load). A contact
+that has just opened is near the edge of the band."""
 # Forces below this part of the scene's force are round-off.
 _EXACT = 1e-13
 
@@ -203,7 +206,9 @@ def _explain(
         if excess > shared.violation:
             shared = shared._replace(violation=excess, broken=("", _OUTSIDE_ALL, excess))
         solved[k] = shared
-        represented |= np.abs(motions - motions[place]).max(1, initial=0.0) <= largest
+        # In the band of ties a mode with fewer forces may satisfy all inequalities.
+        if shared.violation <= NEGLIGIBLE_TIE * tie:
+            represented |= np.abs(motions - motions[place]).max(1, initial=0.0) <= largest
 
 
 @lru_cache(maxsize=1024)

@@ -23,6 +23,7 @@ from contacts.dynamics.contact_law import ContactLaw, bounds, cones, coupling_la
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, PerContact, Snapshot
 from contacts.modes.candidates import (
+    NEGLIGIBLE_TIE,
     OPEN_LOAD,
     SAME_MOTION,
     SINGULAR,
@@ -111,7 +112,7 @@ class ForceUncertainty(NamedTuple):
         edges = np.empty((len(fell), 2))
         choose_edges(bounds(case.laws, case.snapshot)[fell], codes, edges)
         judge_forces(verdict, candidate.forces[fell], edges, codes, case.scales.force)
-        return bool(verdict[0] > _NEGLIGIBLE_TIE * case.tie)
+        return bool(verdict[0] > NEGLIGIBLE_TIE * case.tie)
 
     def _spread(self, case: Case, candidate: Candidate) -> float:
         """Return the uncertainty of the violation of a mode, in the scales."""
@@ -144,9 +145,6 @@ def _comes_to_rest(may: Collection[str] | str, was: str) -> bool:
 _MAX_ENUMERATED = 4
 # Contacts up to which enumeration is the fallback of Lemke's algorithm.
 _MAX_ENUMERATED_LAST = 6
-# Part of the tie band that is round-off of an equality (balls that touch without load). A contact
-# that has just opened is near the edge of the band.
-_NEGLIGIBLE_TIE = 0.1
 # Relative difference of accelerations up to which a motion continues, at an event located with a
 # coarse tolerance. Rival motions differ by a multiple of this.
 _CONTINUES = 1e-3
@@ -175,7 +173,7 @@ def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -
         verdicts |= {
             _label(laws, c.states): c.reason + coefficients(c.states)
             for c in tried
-            if c.violation > _NEGLIGIBLE_TIE * case.tie and _is_held_by_friction(c, taken, firmer)
+            if c.violation > NEGLIGIBLE_TIE * case.tie and _is_held_by_friction(c, taken, firmer)
         }
         verdicts[_label(laws, taken.states)] = "taken" + coefficients(taken.states)
     return verdicts
@@ -350,7 +348,7 @@ def _continuing_candidates(
         previous.share is not None and not _bearing(previous) <= before.bearing
     ):
         return agreeing
-    if previous.violation > _NEGLIGIBLE_TIE * case.tie:
+    if previous.violation > NEGLIGIBLE_TIE * case.tie:
         firmer = _more_sticking(case)
         if any(_is_held_by_friction(previous, c, firmer) for c in agreeing):
             # Static friction has just been exceeded, and kinetic friction is less.
@@ -369,7 +367,7 @@ def _select_candidate(
     taken = agreeing[0]
     if len(agreeing) == 1:
         return taken, ""
-    clear = [c for c in agreeing if c.violation <= _NEGLIGIBLE_TIE * tie]
+    clear = [c for c in agreeing if c.violation <= NEGLIGIBLE_TIE * tie]
     for candidate in clear:
         if candidate.share is not None and before.is_mode(candidate.states):
             return _without_new_loads(candidate, clear, case, before.bearing)

@@ -175,8 +175,9 @@ _ADDED = 0.5
 _PARTS = (4, 16, 64, 256)
 # Depth change, relative to the body, by which a path has jumped into it.
 _JUMPED_INTO = 1e-6
-# Checks of loads in a run, also in steps that are reverted, and steps that a mode lasts before one.
-_CHECKS, _LASTING = 8, 3
+# Modes in which loads are checked, attempts including those in steps that are reverted, and steps
+# that a mode lasts before one.
+_CHECKS, _ATTEMPTS, _LASTING = 8, 32, 3
 # Cutting planes against overlap; part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
 # Contacts of the warm start with this feature are detected again.
@@ -289,6 +290,11 @@ class RigidBodyRun(SteppedSystem):
         self._no_ground = MissingGround(names, surfaces, numbers)
         self._implied = dict[str, None]()  # Warnings of redundant joints.
         self._penetration = Penetration(names, numbers, start_depth)
+        # Only what holds bodies, or different friction, makes a shared load matter.
+        held = len(numbers.joints.kinds) + len(numbers.couplings.holds) + numbers.links.bodies > 0
+        mixed = (numbers.materials != numbers.materials[:1])[:, KINETIC : KINETIC + 2].any()
+        few = 0 < count <= MAX_BODIES
+        self._checks_loads = options.forces and few and bool(held or mixed)
         # Modes in which loads were checked, and warnings of them; both before the last steps.
         self._checks, self._loads = 0, (frozenset[bytes](), dict[str, str]())
         self._saved_loads = self._loads
@@ -430,11 +436,8 @@ class RigidBodyRun(SteppedSystem):
 
     def _check_loads(self, start: float, chunk: Chunk) -> None:
         """Note the first loads that are shared in several ways, where modes of bodies end."""
-        modes, numbers, kinetic = chunk.modes, self.numbers, slice(KINETIC, KINETIC + 2)
-        held = len(numbers.joints.kinds) + len(numbers.couplings.holds) + numbers.links.bodies > 0
-        mixed = len(np.unique(numbers.materials[:, kinetic], axis=0)) > 1
-        few = 0 < self._moving <= MAX_BODIES and len(modes) > 0
-        if not (self._options.forces and few and (held or mixed)):
+        modes, numbers = chunk.modes, self.numbers
+        if not self._checks_loads or not len(modes):
             return
         changes = np.append(np.any(modes[1:] != modes[:-1], axis=1), True)
         ends = np.flatnonzero(changes)
@@ -444,7 +447,7 @@ class RigidBodyRun(SteppedSystem):
             key, (checked, warnings) = modes[k].tobytes(), self._loads
             if key in checked or not (modes[k, : self._moving] != FREE).any():
                 continue
-            if self._checks == _CHECKS:
+            if len(checked) == _CHECKS or self._checks == _ATTEMPTS:
                 return
             self._checks += 1
             state, time = chunk.states[k], start + k * chunk.h

@@ -363,7 +363,7 @@ def _nearly_meet(scene: SceneFields) -> bool:
 
 
 def _impact_laws_agree(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
-    """Return whether all impact laws agree: no friction, or a free particle or centred disc."""
+    """Return whether all impact laws agree: no friction, or a free particle or centred point."""
     if contact.frictionless:
         return True
     declared = contact.friction
@@ -379,7 +379,7 @@ def _impact_laws_agree(scene: SceneFields, contact: Contact, values: Mapping[str
     )
     fixed = scene.surfaces[contact.surface].body is None
     # Its normal impulse does not turn it, and friction does not lift it.
-    centred = contact.radius is not None and contact.rolling_resistance is None
+    centred = contact.rolling_resistance is None
     centred = centred and all(parse(text).value(values) == 0.0 for text in contact.point.at)
     free = (body.inertia is None or centred) and body.position is None
     return free and fixed and not jointed

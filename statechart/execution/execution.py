@@ -643,7 +643,7 @@ class Execution:
 
         0.0 for distances that wider tolerances explain.
         """
-        compiled, time = self.entered[self.flow.moving], self.clock.high
+        compiled, time = self._enter(self.flow.moving), self.clock.high
         # Forces with a sign jump.
         if kind not in ("force", "hold") or SIGN in compiled.guards.code[:, 0]:
             return 0.0

@@ -54,7 +54,8 @@ def return_to_zero(
     The values are differences of coordinates with their round-off; the slope is more accurate.
     Newton's method on the integral of the slope gives the duration of a low flight independently
     of the origin, from a place where the output is `below` zero. The root moves within the
-    round-off of the value only: over a long step the quadrature may be less accurate.
+    round-off of the value only: over a long step the quadrature is less accurate, and callers
+    compare the value at the root with its tolerance.
     """
     if value_at(step_tape, step, output, 0.0, regs) != 0.0:
         return place

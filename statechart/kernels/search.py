@@ -370,7 +370,9 @@ def search_step(
         alone = select_outputs(needs, step_tape, output_bit(found))
         event_step, event = _root_of_descent(alone, guard, step, found_left, root, workspace)
         below = root if event_step == step else 1.0
-        event = return_to_zero(alone, event_step, guard[0], event, below, bounds, regs, jets)
+        back = return_to_zero(alone, event_step, guard[0], event, below, bounds, regs, jets)
+        if abs(value_at(alone, event_step, guard[0], back, regs)) <= tolerances[found]:
+            event = back
         at = local_time(times, event_step, event)
         return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
     return NONE, -1, 0, 0.0, 0.0, 0.0, boxes

@@ -58,3 +58,11 @@ stop: {time: 1}
     assert [(jump.cause, jump.target) for jump in result.trace.jumps] == [("stick", ("pin",))]
     assert result.trace.jumps[0].t == pytest.approx(0.4, rel=1e-12)
     assert result.trace.final == pytest.approx([0.8, 0, 0, 0], abs=1e-10)
+
+
+def test_a_lift_that_jumps_where_a_slide_starts_is_seen_or_reported() -> None:
+    text = FALLING.replace("START", "0, x: 1, dx: 1").replace("friction: 0.5", "friction: 0")
+    text = text.replace("FORCE", '[0, "20*sign(b.x - T)"]').replace("time: 1.5", "time: 0.5")
+    assert run(read_text(text)).trace.final == pytest.approx([1.5, 1.25, 1, 5], rel=1e-12)
+    result = run(read_text(text), engine="scipy", throw=False)
+    assert result.trace.message.endswith("take the engine taylor, or a state for each side")

@@ -237,3 +237,73 @@ def test_a_box_leaves_a_shaken_table_whatever_the_friction(engine: str, mu: floa
         first = trace.jumps[0]
         assert (first.cause, first.target) == ("liftoff", ("free", "free"))
         assert first.t == pytest.approx(math.asin(9.81 / (a * 47**2)) / 47, abs=1e-9)
+
+
+def test_a_tip_that_the_closing_of_the_other_moves_into_the_floor_may_leave() -> None:
+    """A rod comes to rest on both tips; B closes while A flies from just above -tolerance."""
+    text = """
+kind: scene
+name: rod
+gravity: 1
+bodies:
+  rod:
+    mass: 1
+    inertia: 2.515723190519573
+    start:
+      {x: 3.7671466618583125, y: 3.0223765752298145e-11, angle: -1.5707963268251184,
+       dx: -1.4910141555842003e-16, dy: -3.566762450876755e-06, dangle: 4.933577553410055e-06}
+surfaces: {floor: {height: 0}}
+contacts:
+  A:
+    {point: {body: rod, at: [0, -1]}, surface: floor, friction: 0.284449634620876,
+     restitution: 0.6713075742194778}
+  B:
+    {point: {body: rod, at: [0, 1]}, surface: floor, friction: 0.284449634620876,
+     restitution: 0.6713075742194778}
+stop: {time: 0.01}
+"""
+    trace = Runner(read_text(text), tolerance=1e-13).run().trace
+    assert trace.final_mode == ("pin", "pin")
+    assert trace.final == pytest.approx([3.7671466618583125, 0, -math.pi / 2, 0, 0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cause", "values"),
+    [
+        ("liftoff", {
+            "mu": 0.0, "e": 0.0, "x0": 0.6959046999341651, "a0": -0.0880636685057099,
+            "u0": -0.13357754855575088, "r0": -0.09606371155613802, "b": 0.23565719246837763,
+            "m": 0.13973833834637867,
+        }),
+        ("slip", {
+            "mu": 0.7477005248046553, "e": 0.5172556896799085, "x0": 0.4943928015609569,
+            "a0": 1.290667391803559, "u0": 1.0, "r0": -2.0, "b": 0.37232311147540686, "m": 0.1,
+        }),
+    ],
+)  # fmt: skip
+def test_a_block_at_rest_does_not_slip_where_a_stick_beside_it_changes_its_mode(
+    cause: str, values: dict[str, float]
+) -> None:
+    """Nothing pushes the block, and its two feet share its weight."""
+    text = """
+kind: scene
+name: stick_beside_a_block
+gravity: g
+parameters: {g: 1, mu: 0.5, e: 0.2, x0: 0.6, y0: 2.5, a0: 0.7, u0: 0, w0: 0, r0: 0, b: 0.5, m: 2}
+bodies:
+  block: {mass: m, inertia: 2/3*m*b**2, start: {y: b}}
+  stick: {mass: 1, inertia: 1/3, start: {x: x0, y: y0, angle: a0, dx: u0, dy: w0, dangle: r0}}
+surfaces:
+  floor: {height: 0}
+  top: {edge: [[-b, b], [b, b]], body: block}
+contacts:
+  left: {point: {body: block, at: [-b, -b]}, surface: floor, friction: mu, restitution: 0}
+  right: {point: {body: block, at: [b, -b]}, surface: floor, friction: mu, restitution: 0}
+  A: {point: {body: stick, at: [-1, 0]}, surface: top, friction: mu, restitution: e}
+  B: {point: {body: stick, at: [1, 0]}, surface: top, friction: mu, restitution: e}
+  C: {point: {body: stick, at: [1, 0]}, surface: floor, friction: mu, restitution: e}
+stop: {time: 4}
+"""
+    for name in ("taylor", "scipy"):
+        last = Runner(read_text(text), engine=name).run(values).trace.jumps[-1]
+        assert (last.region, last.cause, last.target[:2]) == ("C", cause, ("pin", "pin"))
