@@ -17,7 +17,7 @@ from contacts.dynamics.scales import Scales
 from contacts.solvers.dependence import USER_DIGITS
 from contacts.solvers.step_impulses import coordinate_impulses, coordinate_rows, new_island
 from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
-from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.chunk import TIME_MARGIN, Chunk
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.stability import Swings
 from statechart.arrays import Array, Bools, Ints
@@ -84,7 +84,7 @@ class DiscretisationError:
 
     def __init__(self, scales: Scales) -> None:
         n = len(scales.sizes) // 2
-        self._sizes, self._hit = scales.sizes, 0.0
+        self._sizes, self._hit, self._order = scales.sizes, 0.0, ""
         # Largest speeds and path lengths of coordinates.
         self._fastest, self._way = np.zeros(n), np.zeros(n)
         # Velocity errors of forces: now, largest.
@@ -118,7 +118,9 @@ class DiscretisationError:
         times = start + h * np.nonzero(struck)[0]
         # Landings are solved where they touch.
         for k in np.nonzero(struck & (chunk.impact_delay == 0.0))[0].tolist():
-            self._velocity = np.maximum(self._velocity, _off(now, chunk, start, k))
+            touches = _Touches.of(now, chunk, start, k)
+            self._velocity = np.maximum(self._velocity, touches.velocity_error(now, h))
+            self._order = self._order or touches.order_warning(now, h)
         spans = np.concatenate([[self._hit], times, [start + h * len(struck)]])
         self._hit = float(spans[-2])
         if swings is not None:
@@ -141,12 +143,13 @@ class DiscretisationError:
             (np.abs(self._stopped) / way, _WAY, 0.5,
              "the ends of slips: position error up to {:.2g} of the way"),
         )  # fmt: skip
-        return tuple(
+        warnings = [
             f"step {h:g} is too long for {error_text.format(error)}; take "
             f"{0.5 * h * (limit / error) ** power:.1g} or less"
             for relative, limit, power, error_text in errors
             if (error := float(relative.max(initial=0.0))) > limit
-        )
+        ]
+        return *warnings, *([self._order] if self._order else [])
 
     def _slips(self, now: Equations, chunk: Chunk, start: float, codes: Ints) -> Array:
         """Return the rate errors (k, n) where slips reverse; note where they end.
@@ -187,26 +190,70 @@ class DiscretisationError:
         return errors
 
 
-def _off(now: Equations, chunk: Chunk, start: float, k: int) -> Array:
-    """Return the velocity error (n,) by the impacts of a step.
+class _Touches(NamedTuple):
+    """Impacts of a step, whose contacts touch at different times before its middle."""
 
-    A contact that is inside its surface at mid-step touched earlier, with another direction, speed
-    and lever arm.
-    """
-    n, h = now.source.size, chunk.h
-    struck = np.nonzero(chunk.struck[k])[0]
-    state, time, rates = chunk.states[k].copy(), start + (k + 0.5) * h, chunk.states[k, n : 2 * n]
-    state[:n] += 0.5 * h * rates
-    rows = now.source.equations(now.values, state, time)
-    gaps, nearing = rows.gaps[struck], -rows.velocities[struck, 0]
-    ago = np.zeros(len(struck))
-    np.divide(-gaps, nearing, out=ago, where=nearing > 0.0)
-    since = float(np.clip(ago, 0.0, h).max())
-    earlier = state.copy()
-    earlier[:n] -= since * rates
-    late = _impact(now, state, time, struck)
-    right = _impact(now, earlier, time - since, struck)
-    return np.zeros(n) if late is None or right is None else np.abs(late - right)
+    struck: Ints  # (m,): contacts.
+    ago: Array  # (m,): time since they touched.
+    state: Array  # At mid-step, with the rates before the step.
+    time: float
+    mass: Array
+
+    @classmethod
+    def of(cls, now: Equations, chunk: Chunk, start: float, k: int) -> _Touches:
+        """Return the impacts of step k."""
+        n, h = now.source.size, chunk.h
+        struck = np.nonzero(chunk.struck[k])[0]
+        state, time = chunk.states[k].copy(), start + (k + 0.5) * h
+        state[:n] += 0.5 * h * state[n : 2 * n]
+        rows = now.source.equations(now.values, state, time)
+        gaps, nearing = rows.gaps[struck], -rows.velocities[struck, 0]
+        ago = np.zeros(len(struck))
+        np.divide(-gaps, nearing, out=ago, where=nearing > 0.0)
+        return cls(struck, np.clip(ago, 0.0, h), state, time, rows.mass)
+
+    def rates_after(self, now: Equations, apart: float) -> Array | None:
+        """Return the rates (n,) after impacts in turn, at once if touches are less than `apart`."""
+        n, state, since = now.source.size, self.state.copy(), 0.0
+        for touch in np.flip(np.unique(self.ago)).tolist():
+            if since and since - touch <= apart:
+                continue
+            state[:n] += (since - touch) * state[n : 2 * n]
+            struck = self.struck[self.ago >= touch - apart]
+            change = _impact(now, state, self.time - touch, struck)
+            if change is None:
+                return None
+            state[n : 2 * n] += change
+            since = touch
+        return state[n : 2 * n]
+
+    def velocity_error(self, now: Equations, h: float) -> Array:
+        """Return the velocity error (n,): impacts have another direction, speed and lever arm."""
+        n = now.source.size
+        late, right = _impact(now, self.state, self.time, self.struck), self.rates_after(now, h)
+        if late is None or right is None:
+            return np.zeros(n)
+        return np.abs(self.state[n : 2 * n] + late - right)
+
+    def order_warning(self, now: Equations, h: float) -> str:
+        """Return a warning if impacts in turn would have another result; "" if not."""
+        n, touches = now.source.size, np.unique(self.ago)
+        apart = np.diff(touches)[np.diff(touches) > TIME_MARGIN * h]
+        if not apart.size:
+            return ""
+        once, turns = self.rates_after(now, h), self.rates_after(now, TIME_MARGIN * h)
+        if once is None or turns is None:
+            return ""
+        difference, rates = turns - once, self.state[n : 2 * n]
+        off = math.sqrt(difference @ self.mass @ difference / (rates @ self.mass @ rates))
+        if off <= _IMPACTS:
+            return ""
+        names = " and ".join(now.source.names[i] for i in self.struck.tolist())
+        return (
+            f"{names} touch {apart.min():.2g} apart near t = {self.time:.6g}, and the step of "
+            f"{h:g} strikes them at once: in turn, velocities differ by {off:.2g} of those before; "
+            f"take {0.5 * apart.min():.1g} or less, or run with events"
+        )
 
 
 def _impact(now: Equations, state: Array, time: float, struck: Ints) -> Array | None:
