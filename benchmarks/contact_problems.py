@@ -341,7 +341,7 @@ def solve(
     if method == 1:
         return gauss_seidel(contacts, least, size, left, impulses, allowed, 64)
     if method == 2:
-        return solve_by_proximal_points(contacts, least, impulses, allowed)
+        return solve_by_proximal_points(contacts, least, size, left, impulses, allowed)
     if len(impulses) <= 64:
         return _by_lemke(contacts, least, allowed, impulses)
     return left, 0

@@ -111,7 +111,7 @@ def solve_rows(
             trial[:] = 0.0
         else:
             copy_rows(impulses, trial)
-        error = impulse_residual(contacts, q, size, trial)
+        error = impulse_residual(contacts, q, size, trial) if anew or dense else best
         # Sweeps before Newton's method in a small problem save a tenth of a large heap, cost a
         # twentieth of dice, and choose other impulses where motion leaves them open; at rest the
         # status is known. The first sweep solves a single contact exactly.
@@ -119,7 +119,7 @@ def solve_rows(
             error, steps = gauss_seidel(contacts, q, size, error, trial, goal, _SWEEPS)
             iterations += steps
         if error > goal or (at_rest and count > 1):
-            error, steps = solve_by_proximal_points(contacts, q, trial, goal)
+            error, steps = solve_by_proximal_points(contacts, q, size, error, trial, goal)
             iterations += steps
         if error < best:
             best = error
@@ -168,7 +168,9 @@ def _by_lemke(
         if error <= tolerance:
             copy_rows(exact, candidate)
         else:
-            error, more = solve_by_proximal_points(contacts, q, candidate, tolerance)
+            size = velocity_scale(contacts, q)
+            error = impulse_residual(contacts, q, size, candidate)
+            error, more = solve_by_proximal_points(contacts, q, size, error, candidate, tolerance)
             steps += more
         iterations += steps
         if error < best:

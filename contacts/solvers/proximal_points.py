@@ -393,17 +393,16 @@ def solve_by_last_status(contacts: ContactRows, q: Array, impulses: Array) -> tu
 
 @kernel
 def solve_by_proximal_points(
-    contacts: ContactRows, q: Array, impulses: Array, tolerance: float
+    contacts: ContactRows, q: Array, size: float, lowest: float, impulses: Array, tolerance: float
 ) -> tuple[float, int]:
     """Improve impulses by proximal points; return the residual of the best, and eliminations.
 
-    At a tolerance of `VERIFIED` or less, centres go on as long as the residual falls.
+    `size`, `lowest`: velocity scale and residual of the `impulses`. At a tolerance of `VERIFIED` or
+    less, centres go on as long as the residual falls.
     """
     count = len(impulses)
     rates = zero_rates(contacts, 0)
     write_velocity_change(contacts, impulses, rates)
-    size = velocity_scale(contacts, q)
-    lowest = residual(contacts, q, size, impulses, rates)
     equations = allocate_equations(contacts)
     now, centre, shift = impulses.copy(), impulses.copy(), np.zeros((count, 2))
     status, edges = np.full(count, -1), np.zeros(count)

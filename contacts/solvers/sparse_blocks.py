@@ -1,9 +1,10 @@
 """Sparse block elimination of equations in body rates.
 
 Bodies that touch are neighbours; minimum-degree order (Tinney and Walker 1967) gives few new
-entries in planar heaps. The pattern covers all contacts whatever their status, so that it is
-computed once per problem. Contacts of a dense problem share the same blocks. Blocks are not
-pivoted: the matrix is symmetric positive definite but for friction; a failed pivot is reported.
+entries in planar heaps, and is found in a time that grows with these. The pattern covers all
+contacts whatever their status, so that it is computed once per problem. Contacts of a dense problem
+share the same blocks. Blocks are not pivoted: the matrix is symmetric positive definite but for
+friction; a failed pivot is reported.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import indices
+from statechart.kernels.copies import copy_counts
 from statechart.kernels.jit import kernel
 
 
@@ -47,44 +48,94 @@ def _body(contacts: ContactRows, i: int, side: int) -> int:
 @kernel
 def allocate_equations(contacts: ContactRows) -> Equations:
     """Allocate the equations of contacts and find their elimination order and pattern."""
+    places, begins, others = _eliminate(contacts)
+    bodies, filled = len(places), begins[-1]
+    ends, entries = _shared(contacts, places, begins, others)
+    return Equations(
+        ends, entries, begins, others, _targets(begins, others), np.empty((bodies, 9)),
+        np.empty((filled, 9)), np.empty((filled, 9)), np.empty((bodies, 3)),
+        np.empty((len(contacts.own), 2)),
+    )  # fmt: skip
+
+
+@kernel
+def _longer(numbers: Ints, least: int) -> Ints:
+    """Return a longer array, of at least this length, that begins with the same numbers."""
+    result = np.empty(max(2 * len(numbers), least), np.int64)
+    copy_counts(numbers, result)
+    return result
+
+
+@kernel
+def _prepend(lists: Ints, heads: Ints, which: int, item: int, at: int) -> int:
+    """Write an item and the place of the next one, and let a list begin there; return the end."""
+    lists[at], lists[at + 1], heads[which] = item, heads[which], at
+    return at + 2
+
+
+@kernel
+def _is_listed(lists: Ints, at: int, body: int) -> bool:
+    """Return whether a body is in the linked list that begins at a place."""
+    while at >= 0 and lists[at] != body:
+        at = lists[at + 1]
+    return at >= 0
+
+
+@kernel
+def _eliminate(contacts: ContactRows) -> tuple[Ints, Ints, Ints]:
+    """Return places of the bodies, and `Equations.begins` and `others`, in minimum-degree order."""
     (count, sides), bodies = contacts.bodies.shape, contacts.moving
-    adjacent, degrees = np.zeros((bodies, bodies), np.bool_), np.zeros(bodies, np.int64)
+    # Linked lists of neighbours, eliminated ones too, and of bodies that have or had a degree.
+    heads, by_degree, degrees = np.full(bodies, -1), np.full(bodies, -1), np.zeros(bodies, np.int64)
+    lists, end = np.empty(2 * bodies + 2 * count * sides * (sides - 1), np.int64), 0
     for i in range(count):
         for one in range(sides):
             for other in range(sides):
-                b, neighbour = _body(contacts, i, one), _body(contacts, i, other)
-                if one != other and min(b, neighbour) >= 0 and not adjacent[b, neighbour]:
-                    adjacent[b, neighbour] = True
+                b, c = _body(contacts, i, one), _body(contacts, i, other)
+                if one != other and min(b, c) >= 0 and not _is_listed(lists, heads[b], c):
+                    end = _prepend(lists, heads, b, c, end)
                     degrees[b] += 1
-    places, order = np.full(bodies, -1), np.empty(bodies, np.int64)
-    begins = np.zeros(bodies + 1, np.int64)
+    for b in range(bodies - 1, -1, -1):
+        end = _prepend(lists, by_degree, degrees[b], b, end)
+    places, marks, lowest = np.full(bodies, -1), np.full(bodies, -1), 1
+    begins, others = np.zeros(bodies + 1, np.int64), np.empty(count * sides, np.int64)
     for p in range(bodies):
-        chosen = -1
-        for b in range(bodies):
-            if places[b] < 0 and (chosen < 0 or degrees[b] < degrees[chosen]):
-                chosen = b
-        places[chosen], order[p], begins[p + 1] = p, chosen, begins[p] + degrees[chosen]
-        # Its neighbours become neighbours of each other; its row keeps those at later places.
-        later = indices(adjacent[chosen])
-        for b in later:
-            adjacent[b, chosen] = False
-            degrees[b] -= 1
-            for other in later:
-                if other != b and not adjacent[b, other]:
-                    adjacent[b, other] = True
+        # An elimination reduces degrees by at most one.
+        chosen, lowest = -1, max(lowest - 1, 0)
+        while chosen < 0 or places[chosen] >= 0 or degrees[chosen] != lowest:
+            while by_degree[lowest] < 0:
+                lowest += 1
+            chosen, by_degree[lowest] = lists[by_degree[lowest]], lists[by_degree[lowest] + 1]
+        places[chosen], first, last = p, begins[p], begins[p] + lowest
+        if last > len(others):
+            others = _longer(others, last)
+        if end + 2 * lowest * lowest > len(lists):
+            lists = _longer(lists, end + 2 * lowest * lowest)
+        begins[p + 1], k = first, heads[chosen]
+        while k >= 0:
+            if places[lists[k]] < 0:
+                others[begins[p + 1]] = lists[k]
+                begins[p + 1] += 1
+            k = lists[k + 1]
+        # Its neighbours become neighbours of each other.
+        for i in range(first, last):
+            b = others[i]
+            degrees[b], marks[b], k = degrees[b] - 1, b, heads[b]
+            while k >= 0:
+                marks[lists[k]], k = b, lists[k + 1]
+            for j in range(first, last):
+                if marks[others[j]] != b:
+                    end = _prepend(lists, heads, b, others[j], end)
                     degrees[b] += 1
-    others, filled = np.empty(begins[bodies], np.int64), 0
+            end = _prepend(lists, by_degree, degrees[b], b, end)
     for p in range(bodies):
-        for q in range(p + 1, bodies):
-            if adjacent[order[p], order[q]]:
-                others[filled] = q
-                filled += 1
-    targets = _targets(begins, others)
-    ends, entries = _shared(contacts, places, begins, others)
-    return Equations(
-        ends, entries, begins, others, targets, np.empty((bodies, 9)), np.empty((filled, 9)),
-        np.empty((filled, 9)), np.empty((bodies, 3)), np.empty((len(contacts.own), 2)),
-    )  # fmt: skip
+        for at in range(begins[p], begins[p + 1]):
+            q, k = places[others[at]], at
+            while k > begins[p] and others[k - 1] > q:
+                others[k] = others[k - 1]
+                k -= 1
+            others[k] = q
+    return places, begins, others[: begins[bodies]]
 
 
 @kernel

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from batches import contact_rows
 
+from contacts.solvers.contact_rows import impulse_residual, velocity_scale
 from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.proximal_points import solve_by_proximal_points
 from statechart.kernels.jit import kernel
@@ -19,7 +20,9 @@ def solved(contacts, least, impulses, allowed):
 
 @kernel
 def improved(contacts, least, impulses, allowed):
-    return solve_by_proximal_points(contacts, least, impulses, allowed)
+    size = velocity_scale(contacts, least)
+    lowest = impulse_residual(contacts, least, size, impulses)
+    return solve_by_proximal_points(contacts, least, size, lowest, impulses, allowed)
 
 
 def wall(rows, across, mu, generator):

@@ -44,12 +44,15 @@ def dense(contacts):
     return felt @ moved.T
 
 
-# A pile, a chain, and a body that all touch; contacts twice between the same two.
+GRID = [(b, b + 1) for b in range(144) if b % 12 < 11] + [(b, b + 12) for b in range(132)]
+
+# A pile, a chain, a body that all touch, contacts twice between the same two, and a grid.
 PAIRS = (
     [(b, -1) for b in range(4)] + [(b, b + 4) for b in range(8)] + [(b, b + 5) for b in range(7)],
     [(0, -1), *[(b, b + 1) for b in range(30)]],
     [(0, b) for b in range(1, 20)] + [(b, -1) for b in range(1, 20)],
     [(0, 1), (0, 1), (1, 2), (1, 2), (2, -1), (2, -1)],
+    GRID,
 )
 
 
