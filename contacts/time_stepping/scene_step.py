@@ -60,6 +60,7 @@ from contacts.time_stepping.step_contacts import (
     share_loads,
     split_forces,
     time_to_touch,
+    unit_responses,
     write_modes,
     write_rates,
 )
@@ -163,17 +164,35 @@ def _end_of_condition(
 
 
 @kernel
+def _write_surface_tape(
+    scene: StepConstants, tape: TapeValues, equations: FactoredEquations, instant: StepInstant,
+    i: int, there: Array,
+) -> float:  # fmt: skip
+    """Write the tape `there`, with the point of contact i moved to the surface; return its gap."""
+    n, row, middle, own = tape.size, tape.first + tape.per * i, instant.middle.copy(), 0.0
+    moves = unit_responses(tape, equations, np.full(1, i))[0]
+    for j in range(n):
+        own += tape.numbers[row + j] * moves[j]
+    deep = min(tape.numbers[row + 2 * n + 2], 0.0)
+    for j in range(n):
+        middle[j] -= deep / own * moves[j]
+    tape_values(*scene.equations, middle, scene.parameters, instant.time, there)
+    return deep
+
+
+@kernel
 def switch_contacts(
-    scene: StepConstants, memory: ContactHistory, tape: TapeValues, change: Array, k: int,
-    met: ContactRoles, chunk: Chunk, time: float,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
+    k: int, met: ContactRoles, chunk: Chunk, instant: StepInstant,
 ) -> bool:  # fmt: skip
     """Disable and enable contacts by their conditions, and write gaps; return False if one is NaN.
 
     Lasting contacts stay enabled for now if their conditions cease to hold: see `keep_leaving`. At
-    the kink of a valley both edges hold a point. `change`: change of rates in a step without
-    contacts, whose middle is at `time`.
+    the kink of a valley both edges hold a point. `equations`: with the change of rates in a step
+    without contacts.
     """
     numbers, n, off, h, left = tape.numbers, tape.size, memory.disabled, chunk.h, 1.0
+    change, time, there = equations.change, instant.time, np.empty_like(numbers)
     deepest, at_kink = np.empty(len(off)), np.empty((len(off), 2), np.bool_)
     landed = np.zeros(len(off), np.bool_)
     for i in range(len(off)):
@@ -199,6 +218,12 @@ def switch_contacts(
             if landed[i] or at_kink[i, 1 if memory.closed[i] else 0]:
                 continue
             inside = memory.closed[i] or memory.target_gap[i] < 0.0
+            if inside and gap < 0.0 and scene.bilateral[i] == 0:
+                # Its depth may be beyond the bound of a condition that holds on the surface.
+                _write_surface_tape(scene, tape, equations, instant, i, there)
+                if there[row + 2 * n + 5] > 0.0:
+                    numbers[row + 2 * n + 5] = there[row + 2 * n + 5]
+                    continue
             met.leaving[i] = inside and scene.bilateral[i] == 0
             off[i], memory.left_behind[i] = not met.leaving[i], met.leaving[i]
             if met.leaving[i] and before[0] > 0.0:
@@ -618,17 +643,10 @@ def keep_leaving(
             stays_on = then - alone[at] > rounding
         memory.disabled[i] = not stays_on
     for i in which:
-        row, own = tape.first + tape.per * i, 0.0
-        if not (met.leaving[i] and memory.disabled[i]):
-            continue
-        for j in range(n):
-            own += tape.numbers[row + j] * moves[i, 0, j]
-        deep = min(tape.numbers[row + 2 * n + 2], 0.0)
-        there = middle.copy()
-        for j in range(n):
-            there[j] -= deep / own * moves[i, 0, j]
-        tape_values(*scene.equations, there, scene.parameters, time, ahead)
-        _enable_continuations(scene, memory, tape, ahead, met, scene.gap_tolerance - _BENT * deep)
+        if met.leaving[i] and memory.disabled[i]:
+            deep = _write_surface_tape(scene, tape, equations, instant, i, ahead)
+            near = scene.gap_tolerance - _BENT * deep
+            _enable_continuations(scene, memory, tape, ahead, met, near)
     for i in range(len(closed)):
         gap = tape.numbers[tape.first + tape.per * i + 2 * n + 2]
         chunk.gaps[k, i] = math.inf if memory.disabled[i] else gap
@@ -703,10 +721,10 @@ def step_scene(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
             np.empty(c, np.int64), np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
         )  # fmt: skip
-        if not switch_contacts(scene, memory, tape, equations.change, k, met, chunk, time):
+        instant = StepInstant(time, state, middle)
+        if not switch_contacts(scene, memory, tape, equations, k, met, chunk, instant):
             return k, NOT_FINITE
         if met.leaving.any():
-            instant = StepInstant(time, state, middle)
             keep_leaving(scene, memory, tape, equations, instant, k, met, chunk)
         find_active(scene, memory, tape, equations.change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
@@ -748,7 +766,7 @@ def step_scene(
                 return k, NOT_FINITE
         # Compliant contacts have no acceleration problem.
         if unsettle(memory, k, chunk) and (scene.compliance[:, 0] == 0.0).any():
-            _settle(scene, memory, tape, equations, StepInstant(time, state, middle), k, chunk)
+            _settle(scene, memory, tape, equations, instant, k, chunk)
         _age_contacts(memory, met.active)
         _flow_controllers(scene, time, middle, h, state)
         for i in range(2 * n, len(state)):

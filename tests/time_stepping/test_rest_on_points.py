@@ -215,3 +215,24 @@ def test_a_foot_that_lands_level_with_a_pinned_foot_has_no_slip(
     text = LANDING + (f"settings: {{engine: impulse, step: {step}}}" if step else "")
     jumps = Runner(interpret(read_text(text))).run({"low": low}).trace.jumps
     assert next(jump.target[1] for jump in jumps if jump.target[1] != "free") == lands
+
+
+BOUND = """
+kind: scene
+name: bound
+gravity: 9.81
+bodies: {b: {mass: 1, inertia: 1, start: {y: 1}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  c: {point: {body: b}, surface: floor, friction: 0.2, restitution: 0.5, enabled: b.y >= -1e-4}
+stop: {time: 1}
+settings: {engine: impulse, step: STEP}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 7e-4])
+def test_a_condition_that_holds_on_the_surface_holds_at_the_depth_of_an_impact(step: float) -> None:
+    jumps = run(read_text(BOUND.replace("STEP", str(step)))).trace.jumps
+    assert [jump.cause for jump in jumps] == ["touchdown", "touchdown"]
+    first = math.sqrt(2 / 9.81)
+    assert [jump.t for jump in jumps] == pytest.approx([first, 2 * first], abs=2 * step)
