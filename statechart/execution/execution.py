@@ -414,8 +414,8 @@ class Execution:
         if graze:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.6g}"] = None
-        if not graze:
-            self._magnified(margin.name, margin.kind)
+        elif (beyond := -self._hidden(margin.name, margin.kind)) > 0.0:
+            self._warn_hidden(margin.name, beyond)
         if stops:
             taped = self.modes.taped(self.flow.moving, self.zeros)
             at, laws = self._instant(margin.name), self.automaton.laws_of_events
@@ -627,35 +627,35 @@ class Execution:
         if kind is None or not (self.grazed or kind == "speed"):
             return False
         default = self.setup.tolerances[kind]
+        before = self.flow.tolerances.get(margin, default)
+        hidden = abs(self._hidden(margin, kind))
         # An enclosure that reaches from here to zero is below zero at twice its width.
-        magnified = 2.0 * self._magnified(margin, kind)
-        widened = magnified or _WIDENING * self.flow.tolerances.get(margin, default)
-        if not magnified and widened > _MAX_WIDENING * default:
+        widened = 2.0 * hidden or _WIDENING * before
+        if widened <= before or (not hidden and widened > _MAX_WIDENING * default):
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: widened})
-        if not magnified:
+        if hidden:
+            self._warn_hidden(margin, hidden)
+        else:
             warning = f"{margin} is zero to round-off; its tolerance there is {widened:.3g}"
             self.warnings[f"t = {self.clock.high:.6g}: {warning}"] = None
         return True
 
-    def _magnified(self, margin: str, kind: str) -> float:
-        """Return the distance of a force from its bound where round-off hides it, with a warning.
-
-        0.0 for distances that wider tolerances explain.
-        """
-        compiled, time = self._enter(self.flow.moving), self.clock.high
+    def _hidden(self, margin: str, kind: str) -> float:
+        """Return a force's distance from its bound beyond what wider tolerances explain, or 0.0."""
+        compiled = self._enter(self.flow.moving)
         # Forces with a sign jump.
         if kind not in ("force", "hold") or SIGN in compiled.guards.code[:, 0]:
             return 0.0
-        values = compiled.guards.values(self.state, self.setup.values, time)
-        size = abs(values.item(compiled.names.index(margin)))
-        if size <= _MAX_WIDENING * self.setup.tolerances[kind]:
-            return 0.0
+        values = compiled.guards.values(self.state, self.setup.values, self.clock.high)
+        value = values.item(compiled.names.index(margin))
+        return value if abs(value) > _MAX_WIDENING * self.setup.tolerances[kind] else 0.0
+
+    def _warn_hidden(self, margin: str, size: float) -> None:
         self.warnings[
-            f"{margin} is known to {size:.2g} only where it falls at t = {time:.6g}: nearly "
-            "dependent constraints magnify round-off"
+            f"{margin} is known to {size:.2g} only where it falls at t = {self.clock.high:.6g}: "
+            "nearly dependent constraints magnify round-off"
         ] = None
-        return size
 
     def show(self, local: float = 0.0, steps: int = 0) -> None:
         """Report progress, if it is enabled."""
