@@ -499,7 +499,7 @@ def _touch(
     copy_rows(island.start, island.unforced)
     island.bias[:] = 0.0
     coordinate_impulses(contacts, island, scene.impulse_tolerance)
-    _add_impulses(columns[:, :n], island.chosen, moved)
+    _add_impulses(columns, island.chosen, moved)
     _evaluate_at_touch(scene, instant, delay, moved, after)
     _hold_after_touch(scene, after, at_touch, columns, h, left)
     for i in members:
