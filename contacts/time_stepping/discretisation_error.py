@@ -245,14 +245,15 @@ class _Touches(NamedTuple):
         if once is None or turns is None:
             return ""
         difference, rates = turns - once, self.state[n : 2 * n]
-        off = math.sqrt(difference @ self.mass @ difference / (rates @ self.mass @ rates))
-        if off <= _IMPACTS:
+        change, energy = (float(v @ self.mass @ v) for v in (difference, rates))
+        if change <= _IMPACTS**2 * energy:
             return ""
         names = " and ".join(now.source.names[i] for i in self.struck.tolist())
         return (
             f"{names} touch {apart.min():.2g} apart near t = {self.time:.6g}, and the step of "
-            f"{h:g} strikes them at once: in turn, velocities differ by {off:.2g} of those before; "
-            f"take {0.5 * apart.min():.1g} or less, or run with events"
+            f"{h:g} strikes them at once: in turn, velocities differ by "
+            f"{math.sqrt(change / energy):.2g} of those before; take {0.5 * apart.min():.1g} or "
+            "less, or run with events"
         )
 
 

@@ -168,7 +168,7 @@ def _write_surface_tape(
     scene: StepConstants, tape: TapeValues, equations: FactoredEquations, instant: StepInstant,
     i: int, there: Array,
 ) -> float:  # fmt: skip
-    """Write the tape `there`, with the point of contact i moved to the surface; return its gap."""
+    """Write the tape `there`, with contact i moved out to the surface; return its gap if < 0."""
     n, row, middle, own = tape.size, tape.first + tape.per * i, instant.middle.copy(), 0.0
     moves = unit_responses(tape, equations, np.full(1, i))[0]
     for j in range(n):

@@ -80,7 +80,7 @@ class Tape:
 
     @property
     def varying(self) -> list[bool]:
-        """Whether each output depends on variables or time."""
+        """True for each output that depends on variables or time."""
         first = self.n_variables + 1 + self.n_parameters + len(self.constants) + self.n_fixed
         return [place <= self.n_variables or place >= first for place in self.outputs.tolist()]
 
