@@ -31,7 +31,7 @@ from contacts.solvers.sparse_blocks import (
     solve_blocks,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import copy_rows
+from statechart.kernels.copies import copy_counts, copy_numbers, copy_rows
 from statechart.kernels.jit import kernel
 
 OPEN, STICKS, SLIDES = range(3)
@@ -424,7 +424,8 @@ def solve_by_proximal_points(
         factored = compliance if converged else 0.0
         if not converged and has_last:
             copy_rows(centre, now)
-            status[:], edges[:] = last_status, last_edges
+            copy_counts(last_status, status)
+            copy_numbers(last_edges, edges)
             converged, taken = follow_point(
                 contacts, equations, q, now, centre, shift, compliance, rates, status, edges
             )
@@ -443,7 +444,9 @@ def solve_by_proximal_points(
                     away = now[i, d] - centre[i, d]
                     shift[i, d] = compliance * contacts.own[i, d] * away
             copy_rows(now, centre)
-            last_status[:], last_edges[:], has_last = status, edges, True
+            copy_counts(status, last_status)
+            copy_numbers(edges, last_edges)
+            has_last = True
             if small and not fast and lowest > tolerance:
                 compliance, small = _FIRST, False
             elif not fast:

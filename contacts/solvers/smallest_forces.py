@@ -14,6 +14,7 @@ from contacts.solvers.dependence import independent_rows
 from contacts.solvers.mode_solver import dot
 from contacts.solvers.saddle_point import SOLVED, largest_size, solve_refined
 from statechart.arrays import Array, Ints
+from statechart.kernels.copies import copy_counts
 from statechart.kernels.jit import kernel
 
 INSIDE, UPPER, LOWER, APEX = range(4)
@@ -281,7 +282,7 @@ def smallest_forces(
             largest = _zones_agree(zones, wider, scaled, sliding, pushed, w, forces)
         first = count if determined else 0
         while largest == 0.0 and first < count:
-            zones[:] = current
+            copy_counts(current, zones)
             if _release_edges(scaled, zones, cones, sliding, first):
                 largest = _zones_agree(zones, wider, scaled, sliding, pushed, w, forces)
             first += 1
@@ -294,7 +295,7 @@ def smallest_forces(
             if abs(violation) <= _FORCE_ROUND_OFF * largest:
                 violation = 0.0
             return True, forces, zones, violation
-        zones[:] = current
+        copy_counts(current, zones)
         residual = _evaluate_displacement(scaled, wider, sliding, pushed, y, w, forces)
         for i in range(size):
             stiffness[i, i] += _DAMPING

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -59,7 +60,7 @@ def dispatcher(function: Callable[..., Any], cache: CodeCache, count: Callable[[
     def compile_whole(signature: Signature) -> Any:
         signature = plain(signature)
         # Signals end a compilation at once: it may take half a minute.
-        with interrupts.let_through():
+        with interrupts.let_through(), _no_garbage_collection():
             if signature not in made.overloads and not is_loaded(signature):
                 with compiling.whole(compiling.KERNELS, count), cache.turn():
                     # Another process may have compiled it meanwhile.
@@ -72,6 +73,18 @@ def dispatcher(function: Callable[..., Any], cache: CodeCache, count: Callable[[
 
     made.compile = compile_whole
     return made
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    # Of the millions of objects that numba makes, few are garbage while it compiles.
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _key(signature: Signature, made: Any) -> str:

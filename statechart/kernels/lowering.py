@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from llvmlite import ir as llvm
-from llvmlite.binding import Linkage, parse_assembly
+from llvmlite.binding import Linkage, parse_assembly, set_option
 from numba import _dynfunc, types
 from numba.core import ir
 from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs
@@ -29,6 +29,8 @@ from numba.core.typed_passes import NativeLowering
 # Expressions that give an array, or a tuple of arrays, that somebody holds already.
 _VIEWS = ("getitem", "static_getitem", "getattr", "build_tuple", "cast", "exhaust_iter", "getiter",
           "iternext", "pair_first", "pair_second", "phi")  # fmt: skip
+# Passes for what kernels have not: closures, and loops that formulas of whole arrays share.
+_IDLE = ("inline_closure_likes", "inline_overloads", "nopython_rewrites")
 
 
 class _References:
@@ -60,10 +62,8 @@ class _References:
 
     def _spread(self, assigned: list[Any]) -> None:
         # A view of what is counted is counted.
-        found = -1
-        while found < len(self.counted):
-            found = len(self.counted)
-            self.counted |= {one.target.name for one in assigned if self._is_counted(one.value)}
+        while new := {x.target.name for x in assigned if self._is_counted(x.value)} - self.counted:
+            self.counted |= new
 
     def _is_counted(self, value: Any) -> bool:
         if not isinstance(value, ir.Expr):
@@ -77,9 +77,7 @@ class _References:
         kind = self._kinds[call.func.name]
         if isinstance(kind, types.BoundFunction):
             return str(kind.typing_key) == "array.reshape"
-        if isinstance(kind, types.NamedTupleClass):
-            return True
-        return _lends(kind, self._calls[call])
+        return isinstance(kind, types.NamedTupleClass) or _lends(kind, self._calls[call])
 
 
 def _lends(kind: Any, signature: Any) -> bool:
@@ -207,7 +205,10 @@ class _Library(JITCodeLibrary):
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr:
                 function.linkage = Linkage.internal
+        # Unrolled, loops of unknown length would double the code; few of ours are long.
+        set_option("", "-unroll-runtime=false")
         super()._optimize_final_module()
+        set_option("", "-unroll-runtime=true")
 
     def _get_module_for_linking(self) -> Any:
         if self.is_part:
@@ -262,8 +263,7 @@ class _Lowering(NativeLowering):
             return True
         # Exceptions are made from the globals of each function.
         for variable in library._final_module.global_variables:
-            environment = lookup_environment(variable.name)
-            if environment is not None:
+            if (environment := lookup_environment(variable.name)) is not None:
                 library.codegen.set_env(variable.name, environment)
         return True
 
@@ -275,9 +275,10 @@ class KernelCompiler(CompilerBase):
         """Return the passes."""
         manager = DefaultPassBuilder.define_nopython_pipeline(self.state)
         manager.passes = [
-            (_Lowering if made is NativeLowering else made, why) for made, why in manager.passes
+            (_Lowering if one is NativeLowering else one, why)
+            for one, why in manager.passes
+            if one._name not in _IDLE
         ]
-        manager._finalized = False
         manager.finalize()
         return [manager]
 
