@@ -376,7 +376,7 @@ class SteppedScene(SteppedSystem):
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.allocate(
-            h, state, n + r + 2 * c + source.given, c, r + source.couplings, count
+            h, state, (n, n + r + 2 * c + source.given, c, r + source.couplings), count
         )
         self._saved = self._step_state.copy()
         memory = self._step_state.contacts

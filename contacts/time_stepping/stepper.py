@@ -28,6 +28,7 @@ of free fall; otherwise impacts are at mid-step.
 Points whose coupled group lands without restitution land at its last touch, at ``-h < s < 0``
 (found by Newton's method), with the mass and Jacobians there. Forces depend on the new velocities
 for the time ``h/2 - s``. Other impacts of points are at the first mid-step inside the surface.
+Jumps of a step are recorded in the order of the touches.
 """
 
 from __future__ import annotations
@@ -154,6 +155,7 @@ class SteppedRun:
         self._squeeze = SqueezeCheck(stepper.regions, request.step, inputs.setup.start_depth)
         poses = record is Record.POSES
         self._poses = PoseRecorder(len(stepper.angles)) if poses else None
+        self._last: Chunk | None = None
         self._turning = len(stepper.angles) + np.flatnonzero(stepper.angles)
 
     def end(self, outcome: Outcome, message: str) -> None:
@@ -179,7 +181,7 @@ class SteppedRun:
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
-        control, at = self.control, self._instant(step, self._inputs.solved, None)
+        control, at = self.control, self._instant(step)
         # Bodies with shapes do not know forces at the start.
         at.fresh = not bool(np.isnan(at.own).any())
         if control is not None:
@@ -217,6 +219,10 @@ class SteppedRun:
                 due = False
                 if control is not None:
                     chunk, due = control.cut(chunk, begin, self.recorder)
+                    if due and not len(chunk.codes):
+                        if self._act_early(control, h):
+                            return
+                        continue
                 work = float(chunk.stats[:, WORK].sum())
                 steps = len(chunk.codes)
                 chunk = self._until_stop(chunk, begin)
@@ -251,12 +257,14 @@ class SteppedRun:
         if len(chunk.codes):
             if due or stopped is not None:
                 ends = recorder.slips_end(chunk)[-1]
+                ends |= due and control is not None and control.early
             self._hand_on()
             if self._poses is not None:
                 self._poses.add(
                     chunk, recorder.clock, len(recorder.control_jumps), recorder.controls
                 )
             recorder.add(chunk)
+            self._last = chunk.after(len(chunk.codes) - 1)
             self.solver_residual.add(chunk, start)
             self.fastest = max(self.fastest, float(chunk.approach.max()))
         self.taken += len(chunk.codes)
@@ -265,14 +273,13 @@ class SteppedRun:
         self.request.show(self.time, recorder.count, self.taken)
         met, last, end, waits = None, None, self.time, True
         whole, transitions = len(chunk.codes) == steps and failure is None, 0
-        solved = chunk.solved[-1] if len(chunk.codes) else self._inputs.solved
-        at = self._instant(h, solved, chunk)
+        at = self._instant(h)
         if stopped is not None:
             met, last = stopped[1], self.stops.locate(recorder, stopped[1])
             end = last[0].end.high
             # Contacts that stick at the end of the step precede a stop there, not one before.
             waits = whole and end >= self.time - AT_END * h
-        stuck = whole and waits and self._stick(ends, at)
+        stuck = whole and waits and self._begin_next(ends, at)
         turns = whole and control is not None
         if last is not None and turns:
             fresh = recorder.since(jumps)
@@ -283,7 +290,7 @@ class SteppedRun:
         if control is not None:
             control.accept(chunk, start, end)
         if turns and control is not None:
-            stuck = stuck or self._stick(ends, at)
+            stuck = stuck or self._begin_next(ends, at)
             transitions, fresh = len(recorder.control_jumps), recorder.since(jumps)
             at = control.turn(recorder, fresh, at)
             self.state, transitions = at.state, len(recorder.control_jumps) - transitions
@@ -291,7 +298,7 @@ class SteppedRun:
             met, last = self._met_after_jumps(at), None
         if met is not None:
             if last is not None:
-                self.state = recorder.rewind(last[0], earlier=last[1])
+                self.state = recorder.rewind(last[0], later=last[1])
             self._stop(met)
             return True
         if failure is not None:
@@ -337,11 +344,23 @@ class SteppedRun:
             chunk = chunk.first(lost[0])
         return chunk, failure
 
-    def _instant(self, h: float, solved: Array, last: Chunk | None) -> StepEnd:
-        """Return the end of the recorded steps, whose last ones are `last`."""
-        recorder, coordinates = self.recorder, len(self.stepper.angles)
-        time, row = recorder.clock.high, recorder.row
+    def _instant(self, h: float) -> StepEnd:
+        """Return the end of the recorded steps."""
+        recorder, last, begin = self.recorder, self._last, self._inputs.solved
+        time, row, coordinates = recorder.clock.high, recorder.row, len(self.stepper.angles)
+        solved = begin if last is None else last.solved[-1]
         return StepEnd(self.system, coordinates, time, h, self.state, row, solved, last)
+
+    def _act_early(self, control: StepControl, h: float) -> bool:
+        """Let controllers act on what begins with the next step; return whether the run ends."""
+        recorder, jumps, at = self.recorder, self.recorder.count, self._instant(h)
+        self._begin_next(np.ones(len(at.codes), np.bool_), at)
+        at = control.turn(recorder, recorder.since(jumps), at)
+        self.state = at.state
+        met = self._met_after_jumps(at) if recorder.count > jumps else None
+        if met is not None:
+            self._stop(met)
+        return met is not None
 
     def _until_stop(self, chunk: Chunk, start: float) -> Chunk:
         """Evaluate the stop conditions; retake steps up to one that is met as a contact sticks."""
@@ -354,14 +373,14 @@ class SteppedRun:
             chunk = self.system.steps(start, chunk.h, chunk.states[0], met[0] + 1)
         return chunk
 
-    def _stick(self, ends: Bools, at: StepEnd) -> bool:
-        """Let contacts stick whose slip `ends` (r,) with the last step; return whether any does."""
-        step = at.next_step if ends.any() else None
+    def _begin_next(self, which: Bools, at: StepEnd) -> bool:
+        """Record jumps of regions (r,) at the begin of the next step; return if there are any."""
+        step = at.next_step if which.any() else None
         if step is None:
             return False
-        sticks = self.recorder.stick(np.where(ends, step.modes[0], at.codes), at.state)
-        at.codes, at.fresh = self.recorder.row, not sticks
-        return sticks
+        begins = self.recorder.begin(step, which)
+        at.codes, at.fresh = self.recorder.row, not begins
+        return begins
 
     def _met_after_jumps(self, at: StepEnd) -> int | None:
         """Return the stop condition that is met in the present state; a struck surface is first."""

@@ -496,13 +496,14 @@ class EventQueues:
             for name, causes in self._waiting.items()
         }
 
-    def waits(self, mode: Key) -> bool:
-        """Return whether a region waits for an event in its state of `mode`."""
-        return any(
-            trigger.events
+    def sources(self, mode: Key) -> set[str | None]:
+        """Return the regions for whose events regions wait in `mode`; None is any region."""
+        return {
+            event.region
             for region, state in zip(self._declared.values(), mode, strict=True)
             for trigger in region.triggers[state]
-        )
+            for event in trigger.events
+        }
 
     def first(
         self,
