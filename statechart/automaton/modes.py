@@ -166,13 +166,9 @@ def _minimal(
     free = [force for force in forces if force not in elimination.forces]
     held = [force for force in forces if force in elimination.forces]
     moving = [e.xreplace(substitution) for e in unit.motion(motion)]
-    return unit.solved(
-        (
-            *solve_linear([*moving, *inserted(laws)], (*left, *free), len(moving)),
-            *elimination.accelerations.items(),
-            *solve_linear(inserted(unit.motion(follow)), held),
-        )
-    )
+    first = solve_linear([*moving, *inserted(laws)], (*left, *free), len(moving))
+    last = solve_linear(inserted(unit.motion(follow)), held)
+    return unit.solved((*first, *elimination.accelerations.items(), *last))
 
 
 def _dependent_fields(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:

@@ -86,9 +86,8 @@ def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> li
     lines = [[text(heads[k], size=SMALL, italic=True, colour=FRAME) for k in used_columns]]
     lines += [[text(_wrap_text(row[k]), size=SMALL) for k in used_columns] for row in rows]
     # Graphviz has no spacing of columns only.
-    lines = [
-        [part for cell in row for part in (cell, text("   ", size=SMALL))][:-1] for row in lines
-    ]
+    gap = text("   ", size=SMALL)
+    lines = [[part for cell in row for part in (cell, gap)][:-1] for row in lines]
     return [text_block(name, table(lines, padding=2, align="LEFT"))]
 
 

@@ -141,19 +141,15 @@ def _sweep(place: Path, name: str) -> None:
         if match is None or _is_alive(int(match[1])) or (place / found).is_symlink():
             continue
         with suppress(OSError):
-            if (place / found).is_dir():
-                shutil.rmtree(place / found)
-            else:
-                (place / found).unlink()
+            remove = shutil.rmtree if (place / found).is_dir() else os.unlink
+            remove(place / found)
 
 
 def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):  # another user's
-        return True
+    except (OSError, OverflowError) as error:
+        return not isinstance(error, ProcessLookupError)  # else another user's
     return True
 
 

@@ -58,9 +58,8 @@ class Parameters:
         """
         for name, value in overrides.items():
             if name not in self._formulas:
-                raise DeclarationProblem(
-                    f"no parameter {name!r}", advice=close_matches(name, self._declared)
-                )
+                advice = close_matches(name, self._declared)
+                raise DeclarationProblem(f"no parameter {name!r}", advice=advice)
             if value != value:
                 raise DeclarationProblem(f"parameter {name!r} is not a number")
         tape, inputs = self.program(frozenset(overrides))

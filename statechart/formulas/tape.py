@@ -121,9 +121,8 @@ class Tape:
     def require(self, parameters: Array) -> None:
         """Raise `ValueError` for a wrong number of parameters."""
         if parameters.shape != (self.n_parameters,):
-            raise ValueError(
-                f"the parameters have shape {parameters.shape}, not ({self.n_parameters},)"
-            )
+            message = f"the parameters have shape {parameters.shape}, not ({self.n_parameters},)"
+            raise ValueError(message)
 
 
 def _colour_columns(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]:

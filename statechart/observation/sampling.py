@@ -140,11 +140,8 @@ Where = tuple[tuple[str, str], ...]
 def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> list[int]:
     """Return the indices of `where` that are satisfied in the mode `key`."""
     states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}
-    return [
-        place
-        for place, required_states in enumerate(where)
-        if all(state in states[region] for region, state in required_states)
-    ]
+    met = [all(state in states[region] for region, state in required) for required in where]
+    return [place for place, satisfied in enumerate(met) if satisfied]
 
 
 def visible_expressions(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:

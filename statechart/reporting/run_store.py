@@ -35,9 +35,8 @@ def write_store(
 
     trace.require_motion()
     if Path(path).exists():
-        raise StatechartError(
-            f"cannot write {path}: there is something of this name; name another place"
-        )
+        message = f"cannot write {path}: there is something of this name; name another place"
+        raise StatechartError(message)
     model = observer.automaton.declaration
     bodies, shared, own = _arrays(trace.variables)
     rows = max(1, _CHUNK // (8 * len(trace.variables)))

@@ -52,16 +52,13 @@ def text(
 def table(rows: Iterable[Sequence[str] | str], *, padding: int = 1, align: str = "") -> str:
     """Return rows of cells as a label; a row of text is one cell."""
     side = f' ALIGN="{align}" BALIGN="{align}" VALIGN="TOP"' if align else ""
-    cells = "".join(
-        "<TR>"
-        + "".join(
-            cell if cell.startswith("<TD") else f"<TD{side}>{cell}</TD>"
-            for cell in ((row,) if isinstance(row, str) else row)
-        )
-        + "</TR>"
-        for row in rows
-    )
-    return f'<<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="{padding}">{cells}</TABLE>>'
+    lines = []
+    for row in rows:
+        cells = [row] if isinstance(row, str) else row
+        filled = [x if x.startswith("<TD") else f"<TD{side}>{x}</TD>" for x in cells]
+        lines.append(f"<TR>{''.join(filled)}</TR>")
+    body = "".join(lines)
+    return f'<<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="{padding}">{body}</TABLE>>'
 
 
 def plain(words: str) -> str:
