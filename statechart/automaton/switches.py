@@ -80,12 +80,10 @@ class Switches:
                 _margin(f"{SLIDE_ON}{self.texts[i]}, {side}", 1 + sign * share, names)
                 for sign, side in ((-1, "above"), (1, "below"))
             ]
-        return replace(
-            self.mode,
-            definitions=tuple(definitions),
-            rates=tuple(rate.xreplace(known) for rate in self.rates),
-            margins=(*own[:count], *margins, *own[count:]),
-        )
+        rates = tuple(rate.xreplace(known) for rate in self.rates)
+        margins = [*own[:count], *margins, *own[count:]]
+        new: Any = {"definitions": tuple(definitions), "rates": rates, "margins": tuple(margins)}
+        return replace(self.mode, **new)
 
     def _moves(self, function: sp.Expr) -> bool:
         return not function.free_symbols <= {*self.automaton.parameters}

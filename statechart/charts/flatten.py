@@ -84,14 +84,7 @@ class FlatRegion:
         self.begins = tuple(filter(None, (self._entry_updates(node) for node in begin.entries)))
         self.transitions = self._transitions()
         self.states = {name: self._contents(active) for name, (active, _) in self._named.items()}
-        self.triggers = {
-            name: tuple(
-                Trigger(place, arrow.declared, arrow.declared.events, self._guard(place))
-                for place in self._ranks
-                if (arrow := found.arrows[place]).source in active
-            )
-            for name, (active, _) in self._named.items()
-        }
+        self.triggers = {name: self._triggers(active) for name, (active, _) in self._named.items()}
         self.superstates = {
             node.name: nodes[node.parent].name
             for node in nodes
@@ -187,6 +180,11 @@ class FlatRegion:
             target = self._name_of(step.active, step.histories)
             self._taken[name, taken] = self._transition(name, target, step)
         return self._taken[name, taken]
+
+    def _triggers(self, active: Nodes) -> tuple[Trigger, ...]:
+        ranked = ((place, self._tree.arrows[place]) for place in self._ranks)
+        out = ((place, arrow.declared) for place, arrow in ranked if arrow.source in active)
+        return tuple(Trigger(place, one, one.events, self._guard(place)) for place, one in out)
 
     def _contents(self, active: Nodes) -> tuple[BaseState, ...]:
         holders = (self._tree.nodes[node].declared for node in sorted(active))

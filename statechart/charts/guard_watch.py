@@ -250,12 +250,9 @@ def tape_with_sizes(
 ) -> Tape:
     """Compile expressions and then the sizes of their terms, in inputs and then their sizes."""
     sizes = {v: sp.Symbol(f"size_{v.name}", real=True) for v in inputs}
-    return compile_tape(
-        [*expressions, *(rounding_scale(expression, sizes) for expression in expressions)],
-        variables=(*inputs, *sizes.values()),
-        parameters=parameters,
-        time=time,
-    )
+    outputs = [*expressions, *(rounding_scale(one, sizes) for one in expressions)]
+    variables = (*inputs, *sizes.values())
+    return compile_tape(outputs, variables=variables, parameters=parameters, time=time)
 
 
 class GuardTruths:

@@ -176,12 +176,11 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     _number(parser, "--impulse-tolerance", "R", words)
     words = "residual of the contact impulses above which the run ends (engine impulse)"
     _number(parser, "--impulse-bound", "R", words)
-    parser.add_argument(
-        "--record",
-        choices=("modes", "poses", "nothing"),
-        help="data that the engine impulse records: modes and events, the states at every step, "
-        "or start, end and outputs",
+    words = (
+        "data that the engine impulse records: modes and events, the states at every step, "
+        "or start, end and outputs"
     )
+    parser.add_argument("--record", choices=("modes", "poses", "nothing"), help=words)
     _number(parser, "--max-step", "H", "longest time step of the engines taylor and scipy")
     words = "RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)"
     _value(parser, "--method", "M", words)

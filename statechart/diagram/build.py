@@ -135,12 +135,11 @@ def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
 
     def active(key: Key) -> tuple[str, ...]:
         states = dict(zip(automaton.region_names, key, strict=True))
-        found = (
-            prefix + state
-            for name, prefix in owners.items()
-            for state in nesting[name].get(states[name], (states[name],))
-        )
-        return tuple(dict.fromkeys(found))
+        found: dict[str, None] = {}
+        for name, prefix in owners.items():
+            for state in nesting[name].get(states[name], (states[name],)):
+                found[prefix + state] = None
+        return tuple(found)
 
     return active
 
@@ -249,14 +248,11 @@ def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...],
         for jump in together:
             whose.setdefault((*ends, jump.cause), {})[jump.region] = None
     single = len(_changing_regions(automaton)) == 1
-    links = [
-        Link(
-            _name(ends[0]), _name(ends[1]), cause, "", "", count,
-            "" if single else _several([*whose[*ends, cause]]),
-        )
-        for ends, causes in counts.items()
-        for cause, count in causes.items()
-    ]  # fmt: skip
+    links = []
+    for (source, target), causes in counts.items():
+        for cause, count in causes.items():
+            regions = "" if single else _several([*whose[source, target, cause]])
+            links.append(Link(_name(source), _name(target), cause, "", "", count, regions))
     return tuple(path), links
 
 
@@ -275,13 +271,11 @@ def _run_links(automaton: Automaton, modes: Product) -> list[Link]:
             alike = source, target, data["event"], data["guard"], data["reset"]
             made.setdefault(alike, Counter())[data["region"]] += data["visits"]
     single = len(_changing_regions(automaton)) == 1
-    return [
-        Link(
-            _name(source), _name(target), event, guard, reset, counts.total(),
-            "" if single else ", ".join(abbreviate([*counts])),
-        )
-        for (source, target, event, guard, reset), counts in made.items()
-    ]  # fmt: skip
+    links = []
+    for (source, target, event, guard, reset), counts in made.items():
+        regions, visits = "" if single else ", ".join(abbreviate([*counts])), counts.total()
+        links.append(Link(_name(source), _name(target), event, guard, reset, visits, regions))
+    return links
 
 
 def _remarks(automaton: Automaton) -> tuple[str, ...]:

@@ -33,11 +33,10 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     below = legend(diagram, guards)
     style = Style(identifiers(diagram), guards, below.reasons)
     several = len(diagram.charts) > 1
-    charts = [
-        _add_title(_lay_out(chart, style, f"_{k}_"), chart.title if several else "", f"_{k}_title")
-        for k, chart in enumerate(diagram.charts)
-        if chart.nodes
-    ]
+    charts = []
+    for k, chart in ((k, chart) for k, chart in enumerate(diagram.charts) if chart.nodes):
+        title = chart.title if several else ""
+        charts.append(_add_title(_lay_out(chart, style, f"_{k}_"), title, f"_{k}_title"))
     heading = [_heading(diagram)] if diagram.title else []
     rows = [*heading, *_legend_rows(charts, _WIDTH), *_legend_rows(_tables(below), _WIDE)]
     return _source(stacked(rows, _GAP), diagram.title)
@@ -51,11 +50,8 @@ def _lay_out(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
 
 def _heading(diagram: Diagram) -> LayoutBlock:
     rows = [text(diagram.title, size=TITLE, bold=True)]
-    rows += [
-        text(line, colour=FRAME)
-        for note in diagram.notes
-        for line in textwrap.wrap(note, _LINE) or [""]
-    ]
+    notes = (line for note in diagram.notes for line in textwrap.wrap(note, _LINE) or [""])
+    rows += [text(line, colour=FRAME) for line in notes]
     rows += [text(route, colour=RUN) for route in diagram.routes]
     return text_block("_title", table(rows))
 

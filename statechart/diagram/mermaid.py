@@ -66,12 +66,10 @@ def _unused_name(name: str, states: dict[str, str]) -> str:
 
 def _add_title(chart: Chart) -> Chart:
     """Return a chart with its title prefixed to the labels of its outermost states."""
-    nodes = (
-        replace(node, label=f"{chart.title} {node.label}")
-        if node.inside is None and not node.label.startswith(chart.title)
-        else node
-        for node in chart.nodes
-    )
+    nodes = list(chart.nodes)
+    for k, node in enumerate(nodes):
+        if node.inside is None and not node.label.startswith(chart.title):
+            nodes[k] = replace(node, label=f"{chart.title} {node.label}")
     return replace(chart, nodes=tuple(nodes))
 
 

@@ -84,30 +84,9 @@ class SettingWords(IntegrationWords, total=False):
 
 @dataclass(frozen=True)
 class Setting:
-    """The engine of a run and its settings; None for defaults.
+    """The engine of a run and its settings, as the parameters of `Runner`; None for defaults.
 
-    Attributes
-    ----------
-    engine : str or None
-        auto, taylor, scipy or impulse.
-    method : str or None
-        RK45, DOP853, Radau or LSODA, of scipy; `LONG_DOUBLE`, of taylor.
-    tolerance : float or None
-        Relative tolerance of every step.
-    accuracy : float or None
-        Allowed relative error of the result: tolerances or steps are reduced until the estimated
-        error is below it.
-    step : float or None
-        Time step of the engine impulse; with an accuracy, the longest one.
-    budget : float or None
-        Seconds: tolerances are tightened as long as there is time.
-    max_step : float or None
-        Longest time step of an engine with step size control.
-    impulse_tolerance, impulse_bound : float or None
-        Residuals of the contact impulses in a step of impulse, relative to its fastest approach
-        velocity: above the first, steps are counted in a warning; above the second the run ends.
-    record : str or None
-        Recording of the engine impulse: modes, poses or nothing.
+    A further `method`, of taylor, is "long double".
     """
 
     engine: str | None = None

@@ -228,11 +228,8 @@ class _Builder:
             return
         first, second = (text.count("(") - text.count(")") for text in (before[0], event.value))
         if not event.style and first > 0 and (second != 0 or not NAME.fullmatch(event.value)):
-            self._fail(
-                event,
-                f"a comma in braces or brackets ends a value, here {before[0]!r}",
-                f'put the whole formula in quotes: "{before[0]}, ..."',
-            )
+            message = f"a comma in braces or brackets ends a value, here {before[0]!r}"
+            self._fail(event, message, f'put the whole formula in quotes: "{before[0]}, ..."')
 
     def _plain(self, event: events.ScalarEvent, loc: Loc) -> Any:
         text = event.value

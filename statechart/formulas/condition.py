@@ -109,11 +109,8 @@ class Condition:
 
     def instantaneous(self, moving: Collection[sp.Symbol]) -> bool:
         """Return whether a part is true at instants only: ``x <= 1 and x >= 1`` of `moving` x."""
-        closed = {
-            k: atom.expression
-            for k, atom in enumerate(self.atoms)
-            if not atom.strict and set[Any]() < atom.expression.free_symbols <= {*moving}
-        }
+        atoms = ((k, atom.expression) for k, atom in enumerate(self.atoms) if not atom.strict)
+        closed = {k: e for k, e in atoms if set[Any]() < e.free_symbols <= {*moving}}
         if any(e.is_nonnegative and not e.is_positive for e in closed.values()):
             return True
         opposed = [{i, k} for i, k in combinations(closed, 2) if _opposed(closed[i], closed[k])]

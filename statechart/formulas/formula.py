@@ -214,25 +214,18 @@ def order_parameters(
     for name, formula in formulas.items():
         for used in tree.names_in(formula.root):
             if used.name not in formulas and used.name not in known_names:
-                formula._source.fail(
-                    f"unknown name {used.name!r}",
-                    used.offset,
-                    meant(used.name, formulas, tree.FUNCTIONS, tree.CONSTANTS),
-                    name=name,
-                )
-    uses = {
-        name: sorted(formula.names.difference(known_names)) for name, formula in formulas.items()
-    }
+                advice = meant(used.name, formulas, tree.FUNCTIONS, tree.CONSTANTS)
+                message = f"unknown name {used.name!r}"
+                formula._source.fail(message, used.offset, advice, name=name)
+    uses = {n: sorted(formula.names.difference(known_names)) for n, formula in formulas.items()}
     try:
         return tuple(graphlib.TopologicalSorter(uses).static_order())
     except graphlib.CycleError as error:
         # graphlib lists each node before those that use it.
         cycle = list(reversed(error.args[1]))
-        formulas[cycle[0]]._source.fail(
-            f"parameters need each other: {' -> '.join(cycle)}",
-            advice="give one of them a value of its own",
-            name=cycle[0],
-        )
+        message = f"parameters need each other: {' -> '.join(cycle)}"
+        advice = "give one of them a value of its own"
+        formulas[cycle[0]]._source.fail(message, advice=advice, name=cycle[0])
 
 
 class Constants:

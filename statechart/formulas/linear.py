@@ -63,12 +63,9 @@ def solve_linear(
     for component in _connected_components(equations, unknowns):
         pairs = sum(place < paired for place in component)
         try:
-            definitions += _solve_component(
-                tuple(equations[i] for i in component if i < len(equations)),
-                tuple(unknowns[i] for i in component if i < len(unknowns)),
-                pairs,
-                frozenset(before),
-            )
+            rows = tuple(equations[i] for i in component if i < len(equations))
+            columns = tuple(unknowns[i] for i in component if i < len(unknowns))
+            definitions += _solve_component(rows, columns, pairs, frozenset(before))
         except Singular as error:
             missing += error.unknowns
     if missing:

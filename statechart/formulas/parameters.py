@@ -46,9 +46,8 @@ class Parameters:
         self._derived = tuple(extra.values())
         self._further = tuple(further(self.symbols))
         self._tapes = cache(self._tape)
-        self.literals = {
-            name: formula.value({}) for name, formula in self._formulas.items() if not formula.names
-        }
+        formulas_without_names = ((n, f) for n, f in self._formulas.items() if not f.names)
+        self.literals = {name: formula.value({}) for name, formula in formulas_without_names}
 
     def values(self, overrides: Mapping[str, float]) -> tuple[Array, Array]:
         """Return the parameters (derived ones last) and the further expressions.
@@ -86,11 +85,9 @@ class Parameters:
         derived = self.names[len(self._declared) :]
         for name, expression in zip(derived, self._derived, strict=True):
             definitions.append((self.symbols[name], expression))
+        finite = [(symbol, value.xreplace({sp.oo: _INF})) for symbol, value in definitions]
         tape = compile_tape(
-            [*self.symbols.values(), *self._further],
-            variables=(),
-            parameters=[*(self.symbols[name] for name in inputs), _INF],
-            time=_TIME,
-            definitions=[(symbol, value.xreplace({sp.oo: _INF})) for symbol, value in definitions],
-        )
+            [*self.symbols.values(), *self._further], variables=(), time=_TIME,
+            parameters=[*(self.symbols[name] for name in inputs), _INF], definitions=finite,
+        )  # fmt: skip
         return tape, inputs

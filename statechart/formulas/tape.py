@@ -74,9 +74,7 @@ class Tape:
                 f"not (m, {self.n_variables}) and (m,)"
             )
         self.require(parameters)
-        return tape_table(
-            self.code, self.constants, self.outputs, self.n_fixed, states, parameters, times
-        )
+        return tape_table(*self.program, self.n_fixed, states, parameters, times)
 
     @property
     def varying(self) -> list[bool]:

@@ -94,11 +94,8 @@ def to_text(expression: sp.Expr, **settings: object) -> str:
 _NAMED_ALIKE = (
     "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "sign"
 )  # fmt: skip
-_UNARY: dict[type[sp.Basic], str] = {
-    **{getattr(sp, name): name for name in _NAMED_ALIKE},
-    sp.Abs: "abs",
-    Whole: "floor",
-}
+_UNARY: dict[type[sp.Basic], str] = {getattr(sp, name): name for name in _NAMED_ALIKE}
+_UNARY |= {sp.Abs: "abs", Whole: "floor"}
 # SymPy introduces these itself, as for tan(x + pi/2); formulas contain the last.
 _RECIPROCAL = {sp.cot: "tan", sp.sec: "cos", sp.csc: "sin", sp.sech: "cosh"}
 # Smaller factors, or larger ones than the inverse, may overflow with an exponential.

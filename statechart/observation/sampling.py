@@ -77,13 +77,10 @@ def sample_arcs(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
         known = [u for u in (arc.unknowns(tau) for arc, tau in pairs) if u is not None]
         return np.concatenate(known) if known else None
 
-    return Points(
-        np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs]),
-        np.concatenate([arc.states(tau) for arc, tau in pairs]),
-        np.cumsum([len(tau) for tau in local]).tolist(),
-        lambda: [arc.roles for arc in arcs],
-        unknowns,
-    )
+    times = np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs])
+    states = np.concatenate([arc.states(tau) for arc, tau in pairs])
+    ends = np.cumsum([len(tau) for tau in local]).tolist()
+    return Points(times, states, ends, lambda: [arc.roles for arc in arcs], unknowns)
 
 
 def at_endpoints(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Points:

@@ -38,12 +38,8 @@ _FORCE_TOLERANCES = 10.0
 _CONSTANT = 2e-3
 # Fraction of a run shown after the last change; a cut saves at least the second fraction.
 REST, _SAVED = 0.08, 0.25
-_STATES = {
-    "length": "position",
-    "angle": "angle",
-    "length/time": "velocity",
-    "angle/time": "angular velocity",
-}
+_STATES = {"length": "position", "angle": "angle"}
+_STATES |= {"length/time": "velocity", "angle/time": "angular velocity"}
 _OTHER_STATES = ("coordinate", "rate", "memory")
 _ORDER = ("position", "coordinate", "angle", "velocity", "rate", "angular velocity", "memory")
 
@@ -299,11 +295,9 @@ def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> li
 
 def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
     # Coefficients of contacts are drawn as friction cones.
-    names = [
-        name
-        for name, expression in automaton.observables.items()
-        if expression in automaton.controls and "." not in name and name != TIME
-    ]
+    observed = automaton.observables.items()
+    controls = (name for name, expression in observed if expression in automaton.controls)
+    names = [name for name in controls if "." not in name and name != TIME]
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(automaton.declaration.unit(name), []).append(name)

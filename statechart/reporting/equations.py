@@ -245,12 +245,9 @@ def _moving(row: sp.Expr, coordinates: Coordinates) -> Equation:
         rest -= sp.expand_mul(coefficient * a)
     scale = sp.Dummy("scale", positive=True)
     faster = {v: scale * v for v in coordinates.rates}
-    quadratic = [
-        term
-        for term in sp.Add.make_args(sp.expand_mul(rest))
-        if sp.expand(term.xreplace(faster) - scale**2 * term) == 0
-    ]
-    centripetal = sp.Add(*quadratic)
+    terms = sp.Add.make_args(sp.expand_mul(rest))
+    excess = [sp.expand(term.xreplace(faster) - scale**2 * term) for term in terms]
+    centripetal = sp.Add(*(term for term, off in zip(terms, excess, strict=True) if off == 0))
     left.append(_short(centripetal))
     return sp.Add(*left), _short(-sp.expand_mul(rest - centripetal))
 

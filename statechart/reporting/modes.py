@@ -93,11 +93,8 @@ def _edge(edge: Edge | HierarchicalEdge) -> dict[str, Any]:
 
 
 def _arrow(edge: HierarchicalEdge) -> dict[str, Any]:
-    return {
-        **_edge(edge),
-        "choices": [{"to": c.target, "reset": c.reset} for c in edge.choices],
-        **({"internal": True} if edge.internal else {}),
-    }
+    choices = [{"to": choice.target, "reset": choice.reset} for choice in edge.choices]
+    return {**_edge(edge), "choices": choices} | ({"internal": True} if edge.internal else {})
 
 
 def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
@@ -112,11 +109,8 @@ def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
             "infeasible": [{"mode": mode, "reason": why} for mode, why in named if why],
         }
 
-    return {
-        "remarks": list(found.remarks),
-        "with_direction": verdicts(True),
-        "without_direction": verdicts(False),
-    }
+    both = {"with_direction": verdicts(True), "without_direction": verdicts(False)}
+    return {"remarks": list(found.remarks), **both}
 
 
 def _possible(listed: Mapping[str, Any], digits: int) -> list[tabular.TextBlock]:

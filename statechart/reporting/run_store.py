@@ -47,15 +47,11 @@ def write_store(
         return dims, values, {"units": unit} if unit else {}, chunks
 
     def data(times: Array, states: Array) -> xr.Dataset:
-        return xr.Dataset(
-            {name: array(("t",), states[:, place], name) for name, place in own.items()}
-            | {
-                part: array(("t", "body"), states[:, places], trace.variables[places[0]])
-                for part, places in shared.items()
-            },
-            {"t": array(("t",), times, TIME)},
-            attributes,
-        )
+        found = {name: array(("t",), states[:, place], name) for name, place in own.items()}
+        for part, places in shared.items():
+            name = trace.variables[places[0]]
+            found[part] = array(("t", "body"), states[:, places], name)
+        return xr.Dataset(found, {"t": array(("t",), times, TIME)}, attributes)
 
     rest = {key: value for key, value in report.items() if key not in ("events", "final")}
     attributes = {"model": trace.name, "report": json.dumps(rest)}

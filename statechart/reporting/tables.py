@@ -52,14 +52,9 @@ def _table(observer: Observer, samples: Samples) -> pd.DataFrame:
     import pandas as pd
 
     names = _columns(samples.columns)
-    table = pd.DataFrame(
-        {
-            "t": samples.t,
-            "j": samples.j,
-            "mode": pd.Categorical.from_codes(samples.mode, _labels(observer, samples)),
-            **{names[name]: values for name, values in samples.columns.items()},
-        }
-    )
+    modes = pd.Categorical.from_codes(samples.mode, _labels(observer, samples))
+    columns = {names[name]: values for name, values in samples.columns.items()}
+    table = pd.DataFrame({"t": samples.t, "j": samples.j, "mode": modes, **columns})
     model = observer.automaton.declaration
     table.attrs["units"] = _without_empty(
         {"t": model.unit(TIME), **{names[n]: model.unit(n) for n in samples.columns}}

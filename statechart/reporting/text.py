@@ -51,16 +51,13 @@ def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBl
     """Return the texts and tables of `summary`."""
     parts: list[list[TextBlock]] = [[_head(report)], _event_blocks(report, digits)]
     units = report.get("units", {})
-    parts += [
-        _values(title, values, units, digits)
-        for title, values in (
-            ("outputs", list(report["outputs"].items())),
-            ("final state", abridge(list(report["final"].items()), FEW)),
-            ("margins, least sampled value", _least(report["margins"])),
-            ("invariants, least exact margin (violated below 0)", _least(report["invariants"])),
-        )
-        if values
-    ]
+    tables: Mapping[str, Sequence[tuple[str, Any] | int]] = {
+        "outputs": list(report["outputs"].items()),
+        "final state": abridge(list(report["final"].items()), FEW),
+        "margins, least sampled value": _least(report["margins"]),
+        "invariants, least exact margin (violated below 0)": _least(report["invariants"]),
+    }
+    parts += [_values(title, values, units, digits) for title, values in tables.items() if values]
     if "alternatives" in report:
         parts.append(_alternatives(report["alternatives"], digits))
     return join_blocks(parts)
@@ -264,11 +261,10 @@ def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Text
 
 
 def _event(title: str, parts: Sequence[tuple[str, list[tuple[str, ...]]]]) -> list[TextBlock]:
-    rows = [
-        (f"  {'' if place else head}", text)
-        for head, lines in parts
-        for place, text in enumerate(table(lines).splitlines())
-    ]
+    rows = []
+    for head, lines in parts:
+        first, *others = table(lines).splitlines()
+        rows += [(f"  {head}", first), *(("  ", text) for text in others)]
     return [f"{title}\n", Table(rows)]
 
 

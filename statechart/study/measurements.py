@@ -75,12 +75,10 @@ class Errors(Record):
 
     def worse(self, other: Errors) -> Errors:
         """Return the larger errors of two runs; None if one of them has none."""
-        mine, its = self.model_dump(), other.model_dump()
-        found = {
-            name: None if its[name] is None or value is None else max(value, its[name])
-            for name, value in mine.items()
-            if name not in ("violations", "named")
-        }
+        found, its = self.model_dump(exclude={"violations", "named"}), other.model_dump()
+        for name, value in found.items():
+            both = value is not None and its[name] is not None
+            found[name] = max(value, its[name]) if both else None
         named = {k: max(v, other.named[k]) for k, v in self.named.items() if k in other.named}
         violated = {k: max(v, other.violations.get(k, v)) for k, v in self.violations.items()}
         return Errors(**found, named=named, violations=violated)

@@ -113,8 +113,8 @@ def _same(study: Measurements, family: str) -> list[Point]:
 
 def _grown(study: Measurements, family: str, of: Quantity) -> list[Point]:
     points = _same(study, family)
-    steps = [p.steps for p in points]
-    return points if points and max(steps) >= _GROWN[of] * min(steps) else []
+    steps = [point.steps for point in points] or [0]
+    return points if max(steps) >= _GROWN[of] * min(steps) else []
 
 
 def points_to_fit(study: Measurements, family: str, of: Quantity) -> list[tuple[float, float]]:

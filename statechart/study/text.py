@@ -66,11 +66,8 @@ def _head(study: Measurements) -> list[str]:
         f"reference: {study.reference}, checked by {study.check}",
     ]
     if study.parted is not None:
-        return [
-            *lines,
-            _divergence_lines(study),
-            "no error can be measured: the table shows when each setting leaves the reference",
-        ]
+        words = "no error can be measured: the table shows when each setting leaves the reference"
+        return [*lines, _divergence_lines(study), words]
     third, shift = study.third, study.shift.largest or 0.0
     words = f"the two differ by {study.resolution.largest or 0.0:.2g}"
     if third is not None and third.odd:
@@ -85,11 +82,8 @@ def _head(study: Measurements) -> list[str]:
 def _odd(third: Third, study: Measurements) -> str:
     """Describe the difference of the odd run of three."""
     worst = third.errors.largest or 0.0
-    parts = [
-        f"{what.removeprefix('output ')} by {error:.2g}"
-        for what, error in third.errors.parts.items()
-        if error >= _MUCH * worst > 0.0
-    ]
+    large = {what: e for what, e in third.errors.parts.items() if e >= _MUCH * worst > 0.0}
+    parts = [f"{what.removeprefix('output ')} by {error:.2g}" for what, error in large.items()]
     when = "" if third.parted is None else f"leaves both at t = {third.parted:.6g}, and "
     known = study.warnings.get(study.reference, ())
     warned = new_warnings(study.warnings.get(third.setting, ()), known)

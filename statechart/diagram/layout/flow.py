@@ -155,11 +155,10 @@ class _Flow:
             (self._frame(node, items) for node in self.chart.frames),
             key=lambda box: -box.size[0] * box.size[1],
         )
-        boxes = [
-            Box(name, _point(item["pos"]), size_of(item), self.looks.get(name, markup.START))
-            for name, item in items.items()
-            if "bb" not in item
-        ]
+        boxes = []
+        for name, item in ((name, item) for name, item in items.items() if "bb" not in item):
+            look = self.looks.get(name, markup.START)
+            boxes.append(Box(name, _point(item["pos"]), size_of(item), look))
         for node in self.chart.frames:
             item, name = items[self.names[node.name]], self.title(node)
             boxes.append(Box(name, _point(item["lp"]), size_of(item, "l"), self.looks[name]))

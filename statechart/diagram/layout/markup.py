@@ -121,12 +121,9 @@ def arrow_attributes(
 
 def arrow(links: Sequence[Link]) -> dict[str, str]:
     """Return the attributes of the line of an arrow."""
-    tooltip = "\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links)
-    return {
-        "arrowsize": "0.7",
-        "color": RUN if any(link.visits for link in links) else INK,
-        "tooltip": plain(tooltip),
-    }
+    tooltip = plain("\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links))
+    colour = RUN if any(link.visits for link in links) else INK
+    return {"arrowsize": "0.7", "color": colour, "tooltip": tooltip}
 
 
 def _details(node: Node, chart: Chart, style: Style, ink: str) -> list[str]:
