@@ -38,11 +38,7 @@ MAX_CONFIGURATIONS = 4096
 
 
 def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
-    """Flatten a declared region.
-
-    Raises `DeclarationProblem` if its states or transitions are inconsistent (see `tree`), or if
-    there are more than `MAX_CONFIGURATIONS`.
-    """
+    """Flatten a declared region into at most `MAX_CONFIGURATIONS`; see `tree`."""
     return FlatRegion(name, tree(region, *loc), loc)
 
 

@@ -103,10 +103,7 @@ class _Symbols:
         self.flow = cache(lambda text: parse(text).to_sympy(self.known))
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        """Evaluate parameters and the initial state.
-
-        Raises `DeclarationProblem` for a period that is not positive, or a start that is infinite.
-        """
+        """Evaluate parameters and the initial state; check that periods and start are finite."""
         values, initial = self.parameters.values(overrides)
         if overrides:
             check_all(self.period_checks, self.declared.values(overrides))

@@ -124,11 +124,7 @@ class Tree:
 
 
 def tree(region: transitions.BaseRegion, *loc: str | int) -> Tree:
-    """Return the tree of a declared region.
-
-    Raises `DeclarationProblem` if names are not unique, a compound state has no initial state, a
-    history has no parent, or a transition has an unknown or orthogonal source or target.
-    """
+    """Return the tree of a declared region; raise `DeclarationProblem` if it is inconsistent."""
     entries: list[tuple[str, transitions.Holder, Loc]] = [
         ("", region, loc),
         *transitions.nested(region, *loc),

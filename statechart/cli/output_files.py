@@ -120,11 +120,10 @@ def check_animation(runner: Runner, arguments: argparse.Namespace) -> None:
             raise DeclarationError(message, advice=advice)
         return
     from statechart.pictures.animation import check
-    from statechart.reporting.film import AnimationOptions, stage_of
+    from statechart.reporting.film import stage_of
 
     check_file("--animate", output)
-    shown = AnimationOptions(**options)
-    check(Path(output), shown.size, shown.speed, shown.trail)
+    check(Path(output), **options)
     stage_of(runner.automaton)
 
 

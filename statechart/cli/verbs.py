@@ -537,5 +537,4 @@ def warn(warnings: Iterable[str]) -> None:
 
 def print_json(value: object) -> None:
     """Print plain data as JSON."""
-    # Floats are printed with the fewest digits that read back as the same float.
     print(json.dumps(value, indent=2, allow_nan=False))

@@ -132,7 +132,6 @@ def _field_text(name: str, field: FieldInfo) -> str:
 
 
 def _type(annotation: Any) -> str:
-    """Return a type as text."""
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _type(arguments[0])

@@ -219,10 +219,7 @@ def check_relation(
     changing: Collection[str],
     *loc: str | int,
 ) -> None:
-    """Check names and states of a relation, and that equalities are of piecewise constants.
-
-    Raises `DeclarationProblem` at the first fault.
-    """
+    """Check names and states of a relation, and that equalities are of piecewise constants."""
     relation = parse_relation(text)
     check_names(relation, names, *loc)
     try:

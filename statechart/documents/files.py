@@ -19,10 +19,7 @@ from statechart.errors import DeclarationError, StatechartError
 
 
 def read_bounded(path: Path, most: int, advice: str) -> bytes:
-    """Return at most `most` + 1 bytes of a regular file.
-
-    Raises `DeclarationError` if it is missing, not a regular file, or unreadable.
-    """
+    """Return at most `most` + 1 bytes of a regular file, or raise `DeclarationError`."""
     source = str(path)
     try:
         if path.is_dir():
@@ -39,11 +36,7 @@ def read_bounded(path: Path, most: int, advice: str) -> bytes:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file atomically.
-
-    Raises `OSError` if the folder is missing or not writable, or the disk is full; `path` is then
-    unchanged.
-    """
+    """Write a file atomically; after an `OSError`, as of a full disk, it is unchanged."""
     _sweep(path.parent, path.name)
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=_prefix(path.name))
     try:

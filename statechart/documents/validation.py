@@ -312,10 +312,7 @@ def _message_and_advice(
 
 
 def validate(document: Document, model: type[Model]) -> Model:
-    """Build `model` from a document.
-
-    Raises `DeclarationError` with the position of the first wrong field, and `others`.
-    """
+    """Build `model` from a document; raise `DeclarationError` with positions of wrong fields."""
     try:
         # Documents use aliases (`from`), not Python names.
         made = model.model_validate(document.data, by_alias=True, by_name=False)
@@ -422,10 +419,7 @@ class Document:
         return self._keys.get(at, self._values[at]) if key else self._values[at]
 
     def where(self, text: str) -> Loc:
-        """Return the place of the first value equal to `text`, or a list with this conjunction.
-
-        The top if there is none.
-        """
+        """Return the place of the first value, or conjunction of a list, equal to `text`."""
         for loc in self._values:
             value = self.value(loc)
             if value == text or (may_be_relations(value) and conjunction(value) == text):

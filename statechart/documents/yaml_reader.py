@@ -36,10 +36,7 @@ MAX_DEPTH = 32
 
 
 def read(path: Path) -> Document:
-    """Read a YAML file.
-
-    Raises `DeclarationError` if it is missing, unreadable, not UTF-8, or not a valid document.
-    """
+    """Read a YAML file; raise `DeclarationError` if it is missing or no valid document."""
     source = str(path)
     raw = read_bounded(path, MAX_BYTES, "name a YAML file")
     try:

@@ -277,10 +277,7 @@ def _opposed(a: sp.Expr, b: sp.Expr) -> bool:
 
 
 def condition_of(tree: Any, source: Source) -> Condition:
-    """Return the condition of a tree of `Atom`, split into smooth ones.
-
-    Raises `FormulaError` for more than `MAX_ATOMS`.
-    """
+    """Return the condition of a tree of `Atom`, split into at most `MAX_ATOMS` smooth ones."""
     import sympy
 
     places: dict[Atom, int] = {}

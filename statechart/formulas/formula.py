@@ -83,10 +83,7 @@ def _power_of_numbers(
 
 
 def rewrite_overflow(expression: sp.Expr, formula: Formula) -> sp.Expr:
-    """Return an expression without quotients that overflow to inf/inf.
-
-    Raises `FormulaError` if it has no real value.
-    """
+    """Return a real expression without quotients that overflow to inf/inf."""
     import sympy
 
     if expression.has(sympy.nan, sympy.zoo, sympy.I):

@@ -207,10 +207,7 @@ def _within(tree: InState, states: States) -> Atom:
 
 @lru_cache(_MAX_CACHED)
 def parse_relation(text: str) -> Relation:
-    """Parse a relation: comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`.
-
-    Raises `FormulaError`; see `parse`.
-    """
+    """Parse comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`; see `parse`."""
     reader = _RelationReader(Source(text))
     root = reader.disjunction()
     reader.expect_end()

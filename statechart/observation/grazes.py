@@ -41,7 +41,6 @@ _EXTRAPOLATED = 1.0 / 64.0
 # Extrapolation after a guard of several relations, relative to its last step. A relation that was
 # true before the guard is so for about as long after it.
 _AHEAD = 2.0
-_GRAZES = "grazes its boundary", "is", "fire"
 # Relative time difference of simultaneous jumps.
 _SAME_INSTANT = 1e-12
 
@@ -86,11 +85,13 @@ def _sentence(several: Sequence[Graze]) -> str:
             "less than its tolerance at the start of the flow, and does not fire; start the "
             "flow farther from the boundary"
         )
-    words = ("fires", "would be", "not fire") if graze.fired else _GRAZES
+    does, would, might = "grazes its boundary", "is", "fire"
+    if graze.fired:
+        does, would, might = "fires", "would be", "not fire"
     return (
-        f"{graze.guard} {words[0]} at t = {graze.t:.6g}, where its least value {words[1]} "
+        f"{graze.guard} {does} at t = {graze.t:.6g}, where its least value {would} "
         f"{graze.least:.2g}, within the error of the run, {graze.uncertainty:.2g}: it might "
-        f"{words[2]}{further}"
+        f"{might}{further}"
     )
 
 

@@ -30,11 +30,7 @@ class Observers:
         self._solved = SolvedModes(automaton)
 
     def at(self, setting: Setting, start: Start = Start.DECLARED) -> Observer:
-        """Return the observer of a setting.
-
-        Raises `DeclarationError` for an unknown engine or method, or an engine that is not
-        installed.
-        """
+        """Return the observer of a setting; raise `DeclarationError` for an unknown engine."""
         key = setting, start
         found = self._kept.get(key)
         if found is None:

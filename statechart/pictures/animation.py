@@ -69,12 +69,10 @@ def _round(end: float) -> float:
     return next(s * power for s in (1.0, 2.0, 5.0, 10.0) if s * power >= least * (1.0 - 1e-9))
 
 
-def check(path: Path, size: int, speed: float | None = None, trail: float | None = None) -> None:
-    """Check that an animation can be written, before its run is made.
-
-    A wrong suffix, size, speed or trail raises a DeclarationError, a missing ffmpeg a
-    StatechartError.
-    """
+def check(
+    path: Path, size: int = 720, speed: float | None = None, trail: float | None = None
+) -> None:
+    """Raise `StatechartError` if an animation cannot be written, before its run is made."""
     if path.suffix.lower() not in SUFFIXES:
         message = f"an animation is .gif or .mp4, not {path.suffix or path.name!r}"
         raise DeclarationError(message, advice="a GIF needs no further program")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,37 +60,22 @@ def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
     return min(trace.t_end, (1.0 + REST) * last)
 
 
-@dataclass(frozen=True)
-class AnimationOptions:
-    """Options of an animation.
-
-    `speed` is simulated time per second of the film; `size` the longer side in pixels; `trail` the
-    length of trails in simulated time, by default from the start.
-    """
-
-    speed: float | None = None
-    size: int = 720
-    trail: float | None = None
-
-
 def animate(
     observer: Observer,
     trace: Trace,
-    path: Path | str,
-    showing: AnimationOptions,
+    path: Path,
     *,
-    progress: bool = False,
-) -> Path:
-    """Write an animation of a run, from its start until the last visible motion."""
-    path = Path(path)
-    animation.check(path, showing.size, showing.speed, showing.trail)
+    speed: float | None,
+    size: int,
+    trail: float | None,
+    progress: bool,
+) -> None:
+    """Write an animation of a run until the last visible motion; see `Result.animate`."""
+    animation.check(path, size, speed, trail)
     stage = stage_of(observer.automaton)
-    speed, times = animation.pace(until_rest(stage, observer, trace), showing.speed)
+    speed, times = animation.pace(until_rest(stage, observer, trace), speed)
     film = film_at(stage, observer, trace, times)
-    animation.write_animation(
-        film, path, speed=speed, size=showing.size, trail=showing.trail, progress=progress
-    )
-    return path
+    animation.write_animation(film, path, speed=speed, size=size, trail=trail, progress=progress)
 
 
 def strip_of(observer: Observer, trace: Trace) -> Film | None:

@@ -17,10 +17,7 @@ from statechart.errors import DeclarationError, close_matches
 def list_modes(
     automaton: Automaton, setup: Setup, state: Array, time: float = 0.0, built: int = 0
 ) -> dict[str, Any]:
-    """Return the modes of a model as a JSON object, with their feasibility at a state (n,).
-
-    `built` counts the modes built so far.
-    """
+    """Return the modes of a model as a JSON object, with their feasibility at a state (n,)."""
     found = feasibility(automaton, setup, state, time)
     return {
         "model": automaton.name,

@@ -220,10 +220,7 @@ def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
 
 
 def dumps(report: Mapping[str, Any]) -> str:
-    """Return a report as JSON, every event on a line of its own.
-
-    Floats are printed with the fewest digits that read back as the same float.
-    """
+    """Return a report as JSON, every event on a line of its own."""
     parts = []
     for key, value in report.items():
         if key == "events" and value:

@@ -277,10 +277,11 @@ class Result:
         progress : bool
             Whether to report progress to stderr.
         """
-        from statechart.reporting.film import AnimationOptions, animate
+        from statechart.reporting.film import animate
 
-        showing = AnimationOptions(speed, size, trail)
-        return animate(self.observer, self.trace, path, showing, progress=progress)
+        path, run = Path(path), (self.observer, self.trace)
+        animate(*run, path, speed=speed, size=size, trail=trail, progress=progress)
+        return path
 
     @check_arguments
     def report(self, path: Path | str, *, study: Measured | None = None) -> Path:

@@ -123,7 +123,6 @@ def format_text(report: dict[str, Any], digits: int = tabular.DIGITS) -> list[ta
 def _without_empty_columns(
     head: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> list[tabular.TextBlock]:
-    """Return a table without empty columns."""
     used_columns = [k for k in range(len(head)) if any(row[k] for row in rows)]
     columns = [[head[k], *tabular.align_numbers([row[k] for row in rows])] for k in used_columns]
     return [tabular.Table(list(zip(*columns, strict=True)), headed=True)] if rows else []

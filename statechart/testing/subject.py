@@ -118,13 +118,7 @@ class Subject:
         return Subject(replace_fields(self.model, settings=chosen))
 
     def end(self, parameters: Mapping[str, float]) -> float:
-        """Return the end time of a run.
-
-        Raises
-        ------
-        DeclarationError
-            If the model has none.
-        """
+        """Return the end time of a run; raise `DeclarationError` if the model has none."""
         if self.model.stop.time is None:
             raise DeclarationError("the run has no end", advice="write stop: {time: 10}")
         return parse(self.model.stop.time).value(self.model.values(parameters))
@@ -143,12 +137,7 @@ class Subject:
         expressions: Sequence[sp.Expr],
         states: Array | None = None,
     ) -> Array:
-        """Evaluate expressions with unknowns at local times (m,) of an arc, or in `states` (m, n).
-
-        Returns
-        -------
-        (m, f) array
-        """
+        """Return the values (m, f) of expressions at local times (m,) of an arc, or in `states`."""
         times = arc.start.high + (arc.start.low + tau)
         states, known = arc.states(tau) if states is None else states, arc.unknowns(tau)
         mode = self.mode(trace, arc) if known is None else None
@@ -159,12 +148,7 @@ class Subject:
     def values(
         self, trace: Trace, expressions: Sequence[sp.Expr], states: Array, times: Array
     ) -> Array:
-        """Evaluate expressions in variables, parameters and time, in states (m, n) at times (m,).
-
-        Returns
-        -------
-        (m, f) array
-        """
+        """Return the values (m, f) of expressions without unknowns in states (m, n)."""
         return self._programs.tape(tuple(expressions), None).table(states, trace.values, times)
 
 
@@ -214,13 +198,7 @@ class Case:
 
     @property
     def sound(self) -> tuple[Trace, ...]:
-        """The runs, if all are complete.
-
-        Raises
-        ------
-        Undecidable
-            If one is not; `assert_ended` reports it.
-        """
+        """The runs; raises `Undecidable` if one is not complete, which `assert_ended` reports."""
         for trace in self.traces.values():
             if not trace.outcome.succeeded:
                 raise Undecidable("a run did not come to its end")
