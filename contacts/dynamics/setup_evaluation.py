@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sympy.utilities.iterables import connected_components
 
 from contacts.dynamics.conditions import Conditions, undecided_couplings
-from contacts.dynamics.contact_law import ContactLaw, coupling_law
+from contacts.dynamics.contact_law import ContactLaw, coupling_law, touching_pairs
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, measure
@@ -76,6 +76,7 @@ class SceneNumbers:
         self.far = FAR if bouncing < 2 else FAR_IN_TURN
         self.conditions = Conditions(mechanics)
         self._coefficients: dict[tuple[str, ...], tuple[Ints, Array]] = {}
+        self._pairs = touching_pairs(self.scene)[: len(self.scene.contacts)].tolist()
         self._region_states = {
             name: states_of(contact, gate=scene.gate(name))
             for name, contact in scene.contacts.items()
@@ -263,15 +264,15 @@ class SceneNumbers:
         names = [*self.scene.contacts]
         places, fixed = self.coefficients(states)
         coefficients = np.where(places >= 0, values[places], fixed).tolist()
-        contacts = zip(self.scene.contacts.items(), coefficients, strict=True)
+        contacts = zip(self.scene.contacts.items(), coefficients, self._pairs, strict=True)
         carriers = (
             names.index(coupling.contact) if isinstance(coupling, Rolling) else -1
             for coupling in self.scene.couplings.values()
         )
         return (
             *(
-                ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
-                for (name, contact), (n, t, e) in contacts
+                ContactLaw(name, self._region_states[name], n, t, e, contact.impact, pair=pair)
+                for (name, contact), (n, t, e), pair in contacts
             ),
             *(
                 coupling_law(name, self._region_states[name], carrier)
