@@ -45,6 +45,7 @@ from contacts.solvers.impulse_coupling import root
 from contacts.solvers.island_impulses import island_impulses
 from contacts.solvers.step_impulses import (
     LIMIT,
+    LIVELY,
     ONE,
     TWO,
     Island,
@@ -58,7 +59,6 @@ from contacts.time_stepping.chunk import (
     CALMED,
     CONTACTS,
     ITERATIONS,
-    LIVELY,
     RESIDUAL,
     SLOW,
     UNENDED,
