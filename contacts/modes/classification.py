@@ -497,7 +497,8 @@ def _note_held_contacts(
         return ()
     reduced = np.abs(snapshot.jacobians[:, 0]).max(axis=1, initial=0.0)
     unreduced = np.abs(snapshot.unreduced.jacobians[:, 0]).max(axis=1, initial=0.0)
-    idle = np.array(closed) & np.isin(states, OPEN) & (reduced <= _IMPLIED * unreduced)
+    shut = [is_closed and state in OPEN for is_closed, state in zip(closed, states, strict=True)]
+    idle = np.array(shut, np.bool_) & (reduced <= _IMPLIED * unreduced)
     names = [law.name for law in compress(laws, idle) if not law.coupling]
     if not names:
         return ()
