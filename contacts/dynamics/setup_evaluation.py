@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sympy.utilities.iterables import connected_components
 
 from contacts.dynamics.conditions import Conditions, undecided_couplings
-from contacts.dynamics.contact_law import ContactLaw, coupling_law
+from contacts.dynamics.contact_law import ContactLaw, coupling_law, touching_pairs
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, measure
@@ -77,6 +77,7 @@ class SceneNumbers:
         self.far = FAR if bouncing < 2 else FAR_IN_TURN
         self.conditions = Conditions(mechanics)
         self._coefficients: dict[tuple[str, ...], tuple[Ints, Array]] = {}
+        self._pairs = touching_pairs(self.scene)[: len(self.scene.contacts)].tolist()
         self._region_states = {
             name: states_of(contact, gate=scene.gate(name))
             for name, contact in scene.contacts.items()
@@ -253,9 +254,10 @@ class SceneNumbers:
         places, fixed = self.coefficients(states)
         coefficients = np.where(places >= 0, values[places], fixed).tolist()
         contacts = [*self.scene.contacts]
+        declared = zip(self.scene.contacts.items(), coefficients, self._pairs, strict=True)
         laws = [
-            ContactLaw(name, self._region_states[name], n, t, e, self.scene.contacts[name].impact)
-            for name, (n, t, e) in zip(contacts, coefficients, strict=True)
+            ContactLaw(name, self._region_states[name], n, t, e, one.impact, pair=pair)
+            for (name, one), (n, t, e), pair in declared
         ]
         for name, one in self.scene.couplings.items():
             carrier = contacts.index(one.contact) if isinstance(one, Rolling) else -1
