@@ -224,10 +224,14 @@ class Switching:
         for i, point in enumerate(points):
             corner = [j for j, other in enumerate(points) if other == point and nearby[j]]
             goes_off = before[i] not in INACTIVE and i in corner
+            if not goes_off:
+                continue
             rates = [snapshot.contacts[j].gap_rate for j in corner]
-            # A point that leaves the tip of a ridge is outside of one side.
-            leaves = goes_off and min(rates) >= -slow and max(rates) > slow
-            if leaves or not goes_off:
+            # It leaves one side of the tip of a ridge, or slides out between opposed sides.
+            slides = max(abs(snapshot.contacts[j].slip) for j in corner) > slow
+            normals = snapshot.jacobians[corner, 0]
+            opposed = slides and float((normals @ normals.T).min()) < 0.0
+            if min(rates) >= -slow and (max(rates) > slow or opposed):
                 continue
             if len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
                 names = ", ".join(self._names[j] for j in corner)
