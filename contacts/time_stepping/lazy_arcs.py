@@ -91,15 +91,10 @@ def step_polynomials(steps: Steps) -> Array:
 
 def fill_undefined(rows: Array) -> Array:
     """Replace NaN by the value of the nearest row, the later of two."""
-    unknown = np.isnan(rows)
-    if not unknown.any():
-        return rows
-    result = rows.copy()
-    for column in np.flatnonzero(unknown.any(axis=0)).tolist():
-        known = np.flatnonzero(~unknown[:, column])
-        if not len(known):
-            continue
-        blank = np.flatnonzero(unknown[:, column])
+    unknown, result = np.isnan(rows), rows
+    for column in np.flatnonzero(unknown.any(axis=0) & ~unknown.all(axis=0)).tolist():
+        result = rows.copy() if result is rows else result
+        blank, known = np.flatnonzero(unknown[:, column]), np.flatnonzero(~unknown[:, column])
         after = np.minimum(np.searchsorted(known, blank), len(known) - 1)
         before = np.maximum(after - 1, 0)
         later = np.abs(known[after] - blank) <= np.abs(known[before] - blank)
@@ -154,11 +149,8 @@ class Steps(NamedTuple):
 
     def without_impulses(self) -> Steps:
         """Drop impulses and struck regions."""
-        return self._replace(
-            impulses=self.impulses[:0].copy(),
-            joint_impulses=self.joint_impulses[:0].copy(),
-            struck=self.struck[:0].copy(),
-        )
+        names = ("impulses", "joint_impulses", "struck")
+        return self._replace(**{name: getattr(self, name)[:0].copy() for name in names})
 
     @property
     def width(self) -> int:
@@ -283,13 +275,8 @@ class ArcMaker:
             now = 0.5 * steps.h + steps.delays[k] == steps.begins[piece]
             of_regions = np.where(now[: len(of_regions), None], of_regions, 0.0)
             of_joints = np.where(now[len(now) - len(of_joints) :], of_joints, 0.0)
-        places = np.flatnonzero(of_regions.any(axis=1))
-        impulses = {
-            self._regions[i]: (normal, tangential)
-            for i, (normal, tangential) in zip(
-                places.tolist(), of_regions[places].tolist(), strict=True
-            )
-        }
+        pairs = zip(self._regions, of_regions.tolist(), strict=False)
+        impulses = {name: (normal, along) for name, (normal, along) in pairs if normal or along}
         joints = zip(self._joint_forces, of_joints.tolist(), strict=True)
         return Jump(
             lazy.t, lazy.j, lazy.region, lazy.cause, lazy.source, lazy.target,

@@ -132,16 +132,12 @@ class StopConditions:
             if not (before.j < arc.j and margin(before, before.duration) < 0.0):
                 break
             arc, later = before, later + 1
-        begin = float(arc.times[-2])
-        low, high = begin, arc.duration
+        low, high = float(arc.times[-2]), arc.duration
         if margin(arc, low) < 0.0:
             high = low
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
-            if margin(arc, middle) < 0.0:
-                high = middle
-            else:
-                low = middle
+            low, high = (low, middle) if margin(arc, middle) < 0.0 else (middle, high)
         return cut(arc, len(arc.times) - 2, high), later
 
     def _margin(self, condition: int, regions: int, arc: Arc, local: float) -> float:
