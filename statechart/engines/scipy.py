@@ -168,7 +168,7 @@ class SciPy(Engine):
         else:
             # In declared scales, reduced to the present motion (late, low bounces), but not below
             # the round-off of a state at rest.
-            moving = float((moved / sizes).max(initial=0.0)) or 1.0
+            moving = float((moved / sizes).max(initial=0.0))
             smallest = sizes * max(moving, _RATE_ROUND_OFF / self.tolerance)
         self.floor = np.maximum(magnitude, _PART * smallest)
         absolute = self._absolute = self.tolerance * self.floor
