@@ -556,9 +556,8 @@ class Execution:
                 elif dict(self.entered[self.flow.moving].watched).get(fired[0]) == "plain":
                     advice = f"; {TWO_BOUNDS}"
                 elif SIGN in self.entered[self.flow.moving].guards.code[:, 0]:
-                    advice = (
-                        "; a sign jumps there: take the engine taylor, or a state for each side"
-                    )
+                    other = "" if self.engine.name == "taylor" else "take the engine taylor, or "
+                    advice = f"; a sign jumps there: {other}write a state for each side"
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                     + advice

@@ -59,9 +59,9 @@ LEAST = 1e-6
 _BEYOND = (0.0, 1.0, 2.0, 4.0)
 # A step is repeated up to this part of the way to the missed feature.
 _NEARER = 0.5
-# A step is repeated up to an event if its defect, in tolerances, is larger, and the event is between
-# these parts of it; then up to this part of the way to the event.
-_ACCURATE, _NEAR_START, _NEAR_END, _PAST_EVENT = 10.0, 1e-3, 0.9, 1.01
+# A step is repeated up to an event between these parts of it, if a variable is larger by this
+# factor at its end and has a defect of so many tolerances; then to this part of the way to it.
+_NEAR_START, _NEAR_END, _FAR, _ACCURATE, _PAST_EVENT = 1e-3, 0.9, 4.0, 10.0, 1.01
 # A margin is zero below this part of its terms.
 _ZERO = 4.0 * float(np.finfo(float).eps)
 # Steps between estimates of the remaining number of steps, and the limit of that number.
@@ -375,7 +375,8 @@ class Advance:
         slopes = (terms[1:] * places ** terms[:-1]) @ steps[step, :, 1:].T
         defects = np.abs(slopes - span * rates).max(axis=0)
         sizes = np.abs(np.vstack([steps[:, :, 0], states])).max(axis=0)
-        if (defects <= _ACCURATE * self.engine.tolerance * sizes).all():
+        far = np.abs(steps[step].sum(axis=1)) > _FAR * sizes
+        if not (far & (defects > _ACCURATE * self.engine.tolerance * sizes)).any():
             return False
         self._retreat(step, start + _PAST_EVENT / _NEARER * (location.time - start), ended)
         return True

@@ -127,7 +127,10 @@ class Simulator:
         if modes.laws.has_remarks:
             remarks = automaton.laws_of_events.remarks(setup(), arcs)
         if len(arcs):
-            rates, values = lambda: modes.compiled[arcs[0].mode, arcs[0].roles].rates, result.values[0]
+            rates, values = (
+                lambda: modes.compiled[arcs[0].mode, arcs[0].roles].rates,
+                result.values[0],
+            )
             remarks += slow_start_warning(arcs[0], rates, values, engine.tolerance)
         return automaton.trace(
             result.values[0],

@@ -21,8 +21,10 @@ bodies:
   b: {mass: 1, inertia: 0.02, start: {x: -h*sin(s), y: h*cos(s), angle: s + a}}
   load: {mass: 1, inertia: 0.01, start: {y: 3, angle: s + a}}
 contacts:
-  left: {point: {body: b, at: [-0.2, -0.1]}, surface: floor, friction: mu, stiffness: k, damping: 80}
-  right: {point: {body: b, at: [0.2, -0.1]}, surface: floor, friction: mu, stiffness: k, damping: 80}
+  left:
+    {point: {body: b, at: [-0.2, -0.1]}, surface: floor, friction: mu, stiffness: k, damping: 80}
+  right:
+    {point: {body: b, at: [0.2, -0.1]}, surface: floor, friction: mu, stiffness: k, damping: 80}
 couplings: {rub: {bodies: [load, b], limit: 1}}
 forces: {turn: {body: b, moment: M + r*time}}
 stop: {time: 0.039}

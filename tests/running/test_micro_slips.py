@@ -36,8 +36,9 @@ def test_the_error_of_slips_of_a_micrometre_is_estimated(accuracy: float) -> Non
     assert result.error_estimate is not None
     exact = slip_length()  # eleven slips, to and fro
     error = abs(result.outputs["x_end"] - exact) / exact
-    # The closed form loses 5 digits.
-    assert error <= result.error_estimate + 1e-10
+    # The estimate is a difference of two runs, the closed form loses 5 digits.
+    assert error <= 2.0 * result.error_estimate + 1e-10
+    assert error <= accuracy
     assert result.error_estimate <= accuracy
 
 
