@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from sympy.utilities.iterables import connected_components
 
 from contacts.dynamics.conditions import Conditions, undecided_couplings
-from contacts.dynamics.contact_law import ContactLaw, coupling_law
+from contacts.dynamics.contact_law import ContactLaw, coupling_law, touching_pairs
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
-from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
+from contacts.dynamics.parameters import GAP_OFFSET, with_sizes
+from contacts.dynamics.scales import Scales, ScaleTape, horizon, measure
 from contacts.dynamics.setup import (
     FORCE_BAND,
     ROUNDING,
@@ -76,6 +76,7 @@ class SceneNumbers:
         self.far = FAR if bouncing < 2 else FAR_IN_TURN
         self.conditions = Conditions(mechanics)
         self._coefficients: dict[tuple[str, ...], tuple[Ints, Array]] = {}
+        self._pairs = touching_pairs(self.scene)[: len(self.scene.contacts)].tolist()
         self._region_states = {
             name: states_of(contact, gate=scene.gate(name))
             for name, contact in scene.contacts.items()
@@ -135,7 +136,7 @@ class SceneNumbers:
     @property
     def compiled(self) -> bool:
         """True if `run_numbers` computes the setup of its runs."""
-        return self.limits is not None and MASS_UNIT not in self.places
+        return self.limits is not None
 
     def at(
         self, overrides: Mapping[str, float], relative: float, *, stepped: bool = False
@@ -161,9 +162,6 @@ class SceneNumbers:
             # Blame a formula that has no finite value first.
             check_all(finite_checks(self.scene), self.scene.values(overrides))
             raise
-        if MASS_UNIT in self.places:
-            values = values.copy()
-            values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
         if stepped:
             values = with_sizes(values, self.places, scales.sizes)
         margins = self.stop_tape.at(initial, values, 0.0).tolist()
@@ -266,15 +264,15 @@ class SceneNumbers:
         names = [*self.scene.contacts]
         places, fixed = self.coefficients(states)
         coefficients = np.where(places >= 0, values[places], fixed).tolist()
-        contacts = zip(self.scene.contacts.items(), coefficients, strict=True)
+        contacts = zip(self.scene.contacts.items(), coefficients, self._pairs, strict=True)
         carriers = (
             names.index(coupling.contact) if isinstance(coupling, Rolling) else -1
             for coupling in self.scene.couplings.values()
         )
         return (
             *(
-                ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
-                for (name, contact), (n, t, e) in contacts
+                ContactLaw(name, self._region_states[name], n, t, e, contact.impact, pair=pair)
+                for (name, contact), (n, t, e), pair in contacts
             ),
             *(
                 coupling_law(name, self._region_states[name], carrier)

@@ -171,6 +171,7 @@ def impact_jump(
     )
     warning = "; ".join(filter(None, ("" if jam is None else str(jam), struck.result.warning)))
     flow = flow_in(setup, target, moved_by, bounce_time, warning, settled)
+    flow = flow._replace(notes=(*flow.notes, *struck.result.notes))
     # After a long flight the round-off of a gap can exceed its tolerance: it opens from there.
     penetrating = {
         f"{law.name}.gap": -2.0 * contact.gap

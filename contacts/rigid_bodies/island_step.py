@@ -44,6 +44,7 @@ from contacts.solvers.impulse_coupling import root
 from contacts.solvers.island_impulses import island_impulses
 from contacts.solvers.step_impulses import (
     LIMIT,
+    LIVELY,
     ONE,
     TWO,
     Island,
@@ -57,7 +58,6 @@ from contacts.time_stepping.chunk import (
     CALMED,
     CONTACTS,
     ITERATIONS,
-    LIVELY,
     RESIDUAL,
     SLOW,
     UNENDED,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, combinations, groupby, pairwise, product
@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from contacts.scene.expansion import reach_of
 from contacts.scene.fields import SceneFields
 from contacts.scene.friction import AT_REST, SLIP, Friction, check_sides, friction_law
-from contacts.scene.parts import Body, Surface, used_names
+from contacts.scene.parts import Surface, used_names
 from contacts.scene.shapes import INDEX
 from statechart.charts.transitions import PERIOD, PERIOD_ADVICE, periods_in
 from statechart.charts.wrapping import WRAP_ADVICE
@@ -259,10 +259,10 @@ _MAX_NUMBER = sys.float_info.max
 _MAX_ANGLE = 1e8
 _POSITIVE = math.ulp(0.0), _MAX_NUMBER, "must be positive, not {:g}"
 _PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
-# Beyond these masses energies are no floats, or the round-off of forces.
-_MASSES = "must be between 1e-280 and 1e+300, not {:g}"
-_LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
-_HEAVY = 0.0, 1e300, _MASSES, "take larger units"
+# Determinants of modes are products of up to five masses, and lengths.
+_MASSES = "must be between 1e-40 and 1e+40, not {:g}"
+_LIGHT = 1e-40, _MAX_NUMBER, _MASSES, "take smaller units"
+_HEAVY = 0.0, 1e40, _MASSES, "take larger units"
 MAX_SIZE = 1e100
 """Beyond it the squares of lengths and rates overflow."""
 
@@ -328,15 +328,9 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
         if contact.radius is not None:
             yield Limit((*at, "radius"), contact.radius, *_POSITIVE)
             if surface.hollow:
-                yield Limit(
-                    (*at, "radius"),
-                    f"({surface.radius}) - ({contact.radius})",
-                    math.ulp(0.0),
-                    _MAX_NUMBER,
-                    "a disc of radius {:g} does not roll in a circle of radius {:g}",
-                    "the circle has to be the larger one",
-                    (contact.radius, surface.radius or 0),
-                )
+                words = "a disc of radius {:g} does not roll in a circle of radius {:g}"
+                advice, outer = "the circle has to be the larger one", surface.radius or 0
+                yield _ascending((*at, "radius"), contact.radius, outer, words, advice)
     for section, laws in (("contacts", scene.contacts), ("collisions", scene.collisions)):
         for name, law in laws.items():
             yield from _friction_limits(scene, (section, name, "friction"), law.friction)
@@ -355,16 +349,13 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
         if joint.restitution is not None:
             yield Limit(("joints", name, "restitution"), joint.restitution, *_PART)
         if joint.limits is not None:
-            least, greatest = joint.limits
-            yield Limit(
-                ("joints", name, "limits"),
-                f"({greatest}) - ({least})",
-                math.ulp(0.0),
-                _MAX_NUMBER,
-                "the least angle, {:g}, is not below the greatest, {:g}",
-                "write limits: [least, greatest]",
-                (least, greatest),
-            )
+            words = "the least angle, {:g}, is not below the greatest, {:g}"
+            advice = "write limits: [least, greatest]"
+            yield _ascending(("joints", name, "limits"), *joint.limits, words, advice)
+
+
+def _ascending(loc: Loc, least: FormulaText, most: FormulaText, words: str, advice: str) -> Limit:
+    return Limit(loc, f"({most}) - ({least})", *_POSITIVE[:2], words, advice, (least, most))
 
 
 def _friction_limits(
@@ -380,16 +371,10 @@ def _friction_limits(
             continue
         yield Limit((*loc, "static"), law.static, 0.0, math.inf, at=slips)
         yield Limit((*loc, "kinetic"), law.kinetic, 0.0, math.inf, at=slips)
-        yield Limit(
-            loc,
-            f"({law.static}) - ({law.kinetic})",
-            0.0,
-            math.inf,
-            "the static coefficient {:g} is below the kinetic one at rest, {:g}",
-            "exchange them, or write one number for both",
-            (law.static, law.kinetic),
-            slips,
-        )
+        difference = f"({law.static}) - ({law.kinetic})"
+        words = "the static coefficient {:g} is below the kinetic one at rest, {:g}"
+        advice, shown = "exchange them, or write one number for both", (law.static, law.kinetic)
+        yield Limit(loc, difference, 0.0, math.inf, words, advice, shown, slips)
 
 
 def physical_checks(scene: SceneFields) -> Iterator[ValueCheck]:
@@ -397,19 +382,18 @@ def physical_checks(scene: SceneFields) -> Iterator[ValueCheck]:
     controlled = scene.controlled
     for _, found in groupby(limits(scene), key=lambda limit: limit.loc):
         of_place = (*found,)
-        names = _names_of(limit.text for limit in of_place)
+        names = used_names(limit.text for limit in of_place)
         for region in {controlled.region_of(limit.text) for limit in of_place} - {None}:
             for state in controlled.flat[str(region)].states:
-                names |= _names_of(controlled.values(str(region), state).values())
+                names |= used_names(controlled.values(str(region), state).values())
         yield ValueCheck(names, partial(_check_limits, scene, of_place))
     for name, body in scene.bodies.items():
         for place, shape in enumerate(body.shape):
             if shape.polygon is not None:
                 several = (place,) if len(body.shape) > 1 else ()
                 at = ("bodies", name, "shape", *several, "polygon")
-                yield ValueCheck(
-                    _names_of(chain(*shape.polygon)), partial(_check_corners, shape.polygon, at)
-                )
+                names = used_names(chain(*shape.polygon))
+                yield ValueCheck(names, partial(_check_corners, shape.polygon, at))
 
 
 def finite_checks(scene: SceneFields) -> Iterator[ValueCheck]:
@@ -428,11 +412,7 @@ def finite_checks(scene: SceneFields) -> Iterator[ValueCheck]:
         for form in ("line", "edge"):
             if (ends := getattr(surface, form)) is not None:
                 at = ("surfaces", name, form)
-                yield ValueCheck(_names_of(chain(*ends)), partial(_check_ends, ends, at))
-
-
-def _names_of(texts: Iterable[FormulaText]) -> frozenset[str]:
-    return frozenset[str]().union(*(parse(text).names for text in texts))
+                yield ValueCheck(used_names(chain(*ends)), partial(_check_ends, ends, at))
 
 
 def _check_limits(
@@ -460,12 +440,12 @@ def _check_limits(
 def _check_corners(
     polygon: Sequence[Sequence[FormulaText]], at: Loc, values: Mapping[str, float]
 ) -> None:
-    corners = [[parse(text).value(values) for text in corner] for corner in polygon]
+    corners = [(parse(x).value(values), parse(y).value(values)) for x, y in polygon]
     for number, axis in product(range(len(corners)), range(2)):
         if not math.isfinite(value := corners[number][axis]):
             raise DeclarationProblem(f"must be finite, not {value:g}", loc=(*at, number, axis))
     try:
-        check_polygon([(x, y) for x, y in corners])
+        check_polygon(corners)
     except DeclarationProblem as problem:
         problem.loc = (*at, *problem.loc)
         raise
@@ -541,10 +521,10 @@ def has_switches(scene: SceneFields) -> bool:
     """Return whether forces, flows or controls have abs, sign, min, max or sat of variables."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
+    formulas = [text for _, text in texts]
+    formulas += [text for _, _, text, _ in controls.declared_flows()]
+    formulas += [text for _, _, _, text, _ in controls.sets()]
     changing = {*changing, TIME, *controls.controller_state}
-    flows = [text for _, _, text, _ in controls.declared_flows()]
-    values = [text for _, _, _, text, _ in controls.sets()]
-    formulas = [*(text for _, text in texts), *flows, *values]
     return any(has_switch(text, changing) for text in formulas)
 
 
@@ -594,9 +574,10 @@ def check_polygon(corners: _Corners) -> None:
         raise DeclarationProblem(f"{_WHAT}; these are clockwise", advice="reverse their order")
     if all(turn > _STRAIGHT for turn in turns):
         return
-    wrong = ([turn > _STRAIGHT for turn in turns].index(False) + 1) % len(corners)
+    edge = next(k for k, turn in enumerate(turns) if not turn > _STRAIGHT)
+    wrong = (edge + 1) % len(corners)
     how, advice = "lies on a straight edge", "leave it out"
-    if turns[wrong - 1] < -_STRAIGHT:
+    if turns[edge] < -_STRAIGHT:
         how, advice = "points inwards", _split(corners, wrong)
     raise DeclarationProblem(
         f"{_WHAT}; corner {wrong + 1}, at {_format_corner(corners[wrong])}, {how}",
@@ -607,38 +588,27 @@ def check_polygon(corners: _Corners) -> None:
 
 def _check_places(corners: _Corners) -> None:
     """Check that corners are apart, and not all on one line."""
-    size = max(math.dist(one, other) for one, other in combinations(corners, 2))
-    distinct: list[_Corner] = []
-    twice: tuple[int, int] | None = None
-    for k, corner in enumerate(corners):
-        same = [
-            i for i, one in enumerate(corners[:k]) if math.dist(one, corner) <= _STRAIGHT * size
-        ]
-        if not same:
-            distinct.append(corner)
-        elif twice is None:
-            twice = same[0], k
-    if len(distinct) < 2:
+    # Those farthest from each other have the line between them that all others might lie on.
+    a, b = max(combinations(corners, 2), key=lambda pair: math.dist(*pair))
+    size = math.dist(a, b)
+    if size == 0.0:
         raise DeclarationProblem(
-            f"all corners are at {_format_corner(corners[0])}: a polygon has an area",
+            f"all corners are at {_format_corner(a)}: a polygon has an area",
             advice="place them around it, or write disc: RADIUS",
         )
-    # Those farthest from each other have the line between them that all others might lie on.
-    a, b = max(combinations(distinct, 2), key=lambda pair: math.dist(*pair))
-    away = [_cross(a, b, corner) / math.dist(a, b) for corner in distinct]
-    if max(map(abs, away)) <= _STRAIGHT * size:
+    if all(abs(_cross(a, b, corner)) / size <= _STRAIGHT * size for corner in corners):
         raise DeclarationProblem(
             f"all corners lie on the line from {_format_corner(a)} to {_format_corner(b)}: "
             "a polygon has an area",
             advice="give it a width; a thin bar is polygon: [[-a, -b], [a, -b], [a, b], [-a, b]]",
         )
-    if twice is not None:
-        one, other = twice
-        raise DeclarationProblem(
-            f"corners {one + 1} and {other + 1} are in one place, {_format_corner(corners[one])}",
-            advice="leave one of them out",
-            loc=(other,),
-        )
+    for (i, one), (k, other) in combinations(enumerate(corners), 2):
+        if math.dist(one, other) <= _STRAIGHT * size:
+            raise DeclarationProblem(
+                f"corners {i + 1} and {k + 1} are in one place, {_format_corner(one)}",
+                advice="leave one of them out",
+                loc=(k,),
+            )
 
 
 def _check_crossings(corners: _Corners) -> None:
@@ -779,19 +749,20 @@ def check_collisions(scene: SceneFields) -> None:
     """Check the requirements of collisions."""
     if not scene.collisions:
         return
-    absent: dict[str, str] = {}
     for contact in scene.contacts.values():
         x, y = contact.point.at
-        absent["contacts"] = (
-            f"bodies touch by their shapes: give {contact.point.body!r} a disc as a foot, "
+        raise DeclarationProblem(
+            "a scene with collisions has no contacts yet",
+            advice=f"bodies touch by their shapes: give {contact.point.body!r} a disc as a foot, "
             f"{{disc: {contact.radius or 0.01}, at: [{x}, {y}]}}, and list it with "
-            f"{contact.surface!r} in collisions"
+            f"{contact.surface!r} in collisions",
+            key=("contacts",),
         )
     if scene.initial_modes:
-        absent["modes"] = "remove it: bodies start in the modes of what they touch"
-    for section, advice in absent.items():
         raise DeclarationProblem(
-            f"a scene with collisions has no {section} yet", advice=advice, key=(section,)
+            "a scene with collisions has no modes yet",
+            advice="remove it: bodies start in the modes of what they touch",
+            key=("modes",),
         )
     for name, joint in scene.joints.items():
         if joint.rope is not None and joint.enabled:
@@ -849,28 +820,28 @@ def _check_paths(scene: SceneFields) -> None:
     moving, owners = _moving_names(scene), scene.owners()
     led = {name: body.path for name, body in scene.bodies.items() if body.prescribed}
     for name, path in led.items():
-        for key, text in zip(("x", "y", "angle"), path, strict=True):
+        for key, text in zip(("position", "position", "angle"), path, strict=True):
             for control in parse(text).names.intersection(scene.controls):
-                if dependent := sorted(used_names(scene.controlled.texts(control)) & moving):
+                if dependent := used_names(scene.controlled.texts(control)) & moving:
                     raise DeclarationProblem(
-                        f"the path uses {control!r}, which depends on {dependent[0]!r}, "
+                        f"the path uses {control!r}, which depends on {min(dependent)!r}, "
                         "on how bodies move",
                         advice="let it depend on time, controls and variables; a force follows "
                         "bodies",
-                        loc=("bodies", name, "angle" if key == "angle" else "position"),
+                        loc=("bodies", name, key),
                     )
     for force, declared in scene.forces.items():
         name = owners.get(declared.body, declared.body)
         if name in led:
             raise DeclarationProblem(
-                f"{name!r} {_motion(scene.bodies[name])}, and no force moves it",
+                f"{_described(scene, name)}, and no force moves it",
                 advice="remove the force, or give the body a mass and no path",
                 loc=("forces", force, "body"),
             )
 
 
-def _motion(body: Body) -> str:
-    return "is fixed" if body.fixed else "moves as prescribed"
+def _described(scene: SceneFields, body: str) -> str:
+    return f"{body!r} {'is fixed' if scene.bodies[body].fixed else 'moves as prescribed'}"
 
 
 def _check_joint_ends(scene: SceneFields) -> None:
@@ -878,26 +849,22 @@ def _check_joint_ends(scene: SceneFields) -> None:
     owners = scene.owners()
     for name, joint in scene.joints.items():
         for key, end in joint.ends.items():
-            owner = owners[end.body]
-            body = scene.bodies[owner]
-            if body.linked:
-                problem = (
+            owner, loc = owners[end.body], ("joints", name, key, "body")
+            if scene.bodies[owner].linked:
+                raise DeclarationProblem(
                     "coordinates place this body, and joints of a scene with collisions hold free "
-                    "bodies"
+                    "bodies",
+                    advice="place the other body by coordinates, too, as the joint holds it",
+                    loc=loc,
                 )
-                advice = "place the other body by coordinates, too, as the joint holds it"
-            elif body.prescribed and key == "point":
-                problem = (
-                    f"{owner!r} {_motion(body)}, and the point of a joint is on a body that moves "
-                    "by itself"
+            if scene.bodies[owner].prescribed and key == "point":
+                raise DeclarationProblem(
+                    f"{_described(scene, owner)}, and the point of a joint is on a body that moves "
+                    "by itself",
+                    advice="name a body with a mass in point, and this one in "
+                    f"to: {{body: {end.body}, at: [0, 0]}}",
+                    loc=loc,
                 )
-                advice = (
-                    "name a body with a mass in point, and this one in "
-                    f"to: {{body: {end.body}, at: [0, 0]}}"
-                )
-            else:
-                continue
-            raise DeclarationProblem(problem, advice=advice, loc=("joints", name, key, "body"))
 
 
 def _moving_names(scene: SceneFields) -> set[str]:
@@ -912,11 +879,10 @@ def check_led_surfaces(scene: SceneFields, findings: Findings) -> None:
     texts += [(loc, text) for _, _, text, loc in scene.controlled.declared_flows()]
     for loc, text in texts:
         allowed = constant | ({TIME, *leading} if "flows" in loc else set())
-        forbidden = sorted(parse(text).names - allowed)
         with findings:
-            if loc[-1] in leading and forbidden:
+            if loc[-1] in leading and (forbidden := parse(text).names - allowed):
                 raise DeclarationProblem(
-                    f"{loc[-1]!r} moves a surface, and depends on {forbidden[0]!r}",
+                    f"{loc[-1]!r} moves a surface, and depends on {min(forbidden)!r}",
                     advice="set a control that moves a surface to a formula of parameters, and let "
                     "a variable flow by time, parameters and variables",
                     loc=loc,
@@ -925,35 +891,32 @@ def check_led_surfaces(scene: SceneFields, findings: Findings) -> None:
 
 def check_prescribed(scene: SceneFields, findings: Findings) -> None:
     """Check that fixed and led bodies are in a scene with collisions."""
+    if scene.collisions:
+        return
     for name, body in scene.bodies.items():
         with findings:
-            if body.prescribed and not scene.collisions:
-                if not body.fixed:
-                    raise DeclarationProblem(
-                        "a body needs a mass",
-                        advice="write mass: 1; a body without one is led along its position in a "
-                        "scene with collisions",
-                        loc=("bodies", name),
-                    )
+            if body.fixed:
                 raise DeclarationProblem(
                     "a fixed body takes part in collisions, and the scene has none",
                     advice="declare collisions; what points touch is a surface: "
                     "surfaces: {wall: {line: [[1, 0], [1, 1]]}}",
                     key=("bodies", name, "fixed"),
                 )
+            if body.prescribed:
+                raise DeclarationProblem(
+                    "a body needs a mass",
+                    advice="write mass: 1; a body without one is led along its position in a "
+                    "scene with collisions",
+                    loc=("bodies", name),
+                )
 
 
 def _check_controller_state(scene: SceneFields) -> None:
     """Check that variables of controllers do not depend on the motion of bodies."""
     moving = _moving_names(scene)
+    dependent = {n for n in scene.controls if used_names(scene.controlled.texts(n)) & moving}
     for _, variable, text, loc in scene.controlled.declared_flows():
-        used = [n for n in parse(text).names if n in moving]
-        used += [
-            n
-            for n in parse(text).names.intersection(scene.controls)
-            if used_names(scene.controlled.texts(n)) & moving
-        ]
-        if used:
+        if used := parse(text).names & (moving | dependent):
             raise DeclarationProblem(
                 f"the flow of {variable!r} depends on {min(used)!r}, on how bodies move: "
                 "in a scene with collisions it may not",

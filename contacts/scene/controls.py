@@ -117,21 +117,17 @@ class Controls:
 
         Raises `CycleError` if they depend on each other in a circle.
         """
-        places = {control: place for place, control in enumerate(self.declared)}
         used = {control: used_names(self.texts(control)) for control in self.declared}
-        uses = {
-            control: sorted(names & places.keys(), key=places.__getitem__)
-            for control, names in used.items()
-        }
+        uses = {control: [c for c in used if c in names] for control, names in used.items()}
         return tuple(TopologicalSorter(uses).static_order())
 
     @cached_property
     def controller_state(self) -> Mapping[str, FiniteText]:
         """Variables of regions and timers of transitions -> initial value."""
-        initial_values: dict[str, FiniteText] = {}
+        values: dict[str, FiniteText] = {}
         for name, region in self.regions.items():
-            initial_values |= {**region.variables, **dict.fromkeys(self.flat[name].timers, 0)}
-        return initial_values
+            values |= {**region.variables, **dict.fromkeys(self.flat[name].timers, 0)}
+        return values
 
     @property
     def clocks(self) -> tuple[str, ...]:
@@ -146,11 +142,8 @@ class Controls:
     @cached_property
     def flowing(self) -> Mapping[str, str]:
         """Variable of a region that some of its states let flow -> the region."""
-        return {
-            variable: region
-            for region, variable, _, _ in self.declared_flows()
-            if variable in self.regions[region].variables
-        }
+        declared = self.declared_flows()
+        return {v: region for region, v, _, _ in declared if v in self.regions[region].variables}
 
     def flows(self, region: str, state: str) -> dict[str, FiniteText]:
         """Return the flows of the variables of a region in one of its states."""
@@ -170,23 +163,15 @@ class Controls:
 
     def values(self, region: str, state: str) -> dict[str, FormulaText]:
         """Return the values of a region's controls in one of its states, in their order."""
-        sets = {
-            control: text
-            for content in self.flat[region].states[state]
-            if isinstance(content, ControlState)
-            for control, text in content.sets.items()
-        }
-        return {
-            control: sets.get(control, self.declared[control])
-            for control in self.order
-            if self.owners[control] == region
-        }
+        sets: dict[str, FormulaText] = {}
+        for content in self.flat[region].states[state]:
+            sets |= content.sets if isinstance(content, ControlState) else {}
+        own = (control for control in self.order if self.owners[control] == region)
+        return {control: sets.get(control, self.declared[control]) for control in own}
 
     def region_of(self, text: FormulaText | None) -> str | None:
         """Return the region that sets the controls in a coefficient; None if there is none."""
-        if text is None:
-            return None
-        names = parse(text).names
+        names = () if text is None else parse(text).names
         return next((region for control, region in self.owners.items() if control in names), None)
 
     def values_by_state(
@@ -240,13 +225,12 @@ class Controls:
                         advice="let one of their regions do it",
                         key=("regions", region),
                     )
-        for control in self.declared:
-            if control not in owners:
-                raise DeclarationProblem(
-                    f"no state sets {control!r}",
-                    advice="set it in a state of a region; else write its formula where it is used",
-                    key=("controls", control),
-                )
+        for control in (name for name in self.declared if name not in owners):
+            raise DeclarationProblem(
+                f"no state sets {control!r}",
+                advice="set it in a state of a region; else write its formula where it is used",
+                key=("controls", control),
+            )
         try:
             _ = self.order
         except CycleError as error:
@@ -260,14 +244,10 @@ class Controls:
         """Check that regions change variables of their own, by formulas over `known`."""
         for name, region in self.regions.items():
             check_changes(
-                region,
-                "regions",
-                name,
-                variables=region.variables,
-                known=known,
-                controls=self.declared,
+                region, "regions", name,
+                variables=region.variables, known=known, controls=self.declared,
                 of=f" of region {name!r}",
-            )
+            )  # fmt: skip
 
     def check_coefficient(
         self, text: FormulaText, parameters: Collection[str], *loc: str | int
@@ -285,15 +265,13 @@ class Controls:
                 loc=loc,
             )
         for control in used:
-            for value in self.texts(control):
-                varying = parse(value).names.difference(parameters)
-                if varying:
-                    raise DeclarationProblem(
-                        f"{control!r} depends on {', '.join(map(repr, sorted(varying)))}: a "
-                        "coefficient of a contact is constant as long as a state lasts",
-                        advice=f"set {control!r} to formulas of parameters only",
-                        loc=loc,
-                    )
+            if varying := used_names(self.texts(control)).difference(parameters):
+                raise DeclarationProblem(
+                    f"{control!r} depends on {', '.join(map(repr, sorted(varying)))}: a "
+                    "coefficient of a contact is constant as long as a state lasts",
+                    advice=f"set {control!r} to formulas of parameters only",
+                    loc=loc,
+                )
 
     def texts(self, control: str) -> list[FormulaText]:
         """Return all formulas that set a control."""

@@ -44,10 +44,9 @@ def is_switched(joint: Joint) -> bool:
 
 def captured_variables(name: str, joint: Joint) -> tuple[str, ...]:
     """Return the variables that hold the pose in which a joint closed."""
-    place = {"X": "x", "Y": "y"} if joint.rest is not None else {}
-    turn = {"M": "turn"} if is_switched(joint) else {}
-    names = (place | turn).get
-    return tuple(f"{name}.{variable}" for c in joint.components if (variable := names(c)))
+    names: dict[str, str] = {"X": "x", "Y": "y"} if joint.rest is not None else {}
+    names |= {"M": "turn"} if is_switched(joint) else {}
+    return tuple(f"{name}.{names[c]}" for c in joint.components if c in names)
 
 
 class Reach(Surface):
@@ -110,21 +109,17 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
             add_contact(name, joint, _circle(joint, joint.rope), gate)
         if joint.limits is not None:
             other = joint.to.body if isinstance(joint.to, Point) else None
-            for contact_name, limit, side in zip(
-                limit_contacts(name), joint.limits, (1, -1), strict=True
-            ):
+            limits = zip(limit_contacts(name), joint.limits, (1, -1), strict=True)
+            for contact, limit, side in limits:
                 stop = Stop.model_construct(limit=limit, side=side, other=other)
-                add_contact(contact_name, joint, stop, gate)
+                add_contact(contact, joint, stop, gate)
     resisted = {name: _resistance(scene, contact) for name, contact in scene.rolling.items()}
     if not contacts and not controllers and not resisted:
         return {}
     _check_names(scene, {*contacts, *controllers, *resisted}.difference(scene.joints))
     return {
         "joints": joints,
-        "couplings": {
-            name: _in_joint(scene, contact_name) for name, contact_name in scene.couplings.items()
-        }
-        | resisted,
+        "couplings": {n: _in_joint(scene, c) for n, c in scene.couplings.items()} | resisted,
         "surfaces": {**scene.surfaces, **surfaces},
         "contacts": {**scene.contacts, **contacts},
         "regions": {**scene.regions, **controllers},
@@ -216,15 +211,10 @@ def joints_judged_at_start(scene: SceneFields) -> dict[str, int]:
     Their relations depend on the first mode of a run; the scene is expanded.
     """
     places = {name: place for place, name in enumerate(scene.controlled.flat)}
-    known = {*scene.frictional, *scene.joints}
-    regions = {name: name for name, joint in scene.joints.items() if joint.enabled}
-    regions |= {
-        name: f"{name}_{CLOSED}"
-        for name, contact in scene.contacts.items()
-        if isinstance(scene.surfaces.get(contact.surface), Reach) and contact.enabled
-    }
+    ropes = (name for name in scene.contacts if isinstance(scene.surface_of(name), Reach))
     found = {}
-    for name, region in regions.items():
+    for name in (*scene.joints, *ropes):
+        region = name if name in scene.joints else f"{name}_{CLOSED}"
         if region not in places:
             continue
         referred = set[str]()
@@ -232,7 +222,7 @@ def joints_judged_at_start(scene: SceneFields) -> dict[str, int]:
             relation = parse_relation(transition.guard or "")
             referred |= {member.region for member in relation.members}
             referred |= {used.rpartition(".")[0] for used in relation.names}
-        if referred & known - {name}:
+        if referred & {*scene.frictional, *scene.joints} - {name}:
             found[name] = places[region]
     return found
 
@@ -246,10 +236,10 @@ def start_problem(
     """
     name = str(problem.loc[1])
     enabled = scene.joints[name].enabled
-    relation = parse_relation(conjunction(enabled)) if enabled else None
-    start = cache(lambda: _start(scene, values))
-    holds = None if relation is None else _holds_at_start(scene, relation.root, start)
-    if holds is not False:
+    if not enabled:
+        return problem
+    relation = parse_relation(conjunction(enabled))
+    if _holds_at_start(scene, relation.root, cache(lambda: _start(scene, values))) is not False:
         return problem
     return DeclarationProblem(
         f"the declared parameters close joint {name!r} at the start, and it is off",
@@ -316,10 +306,8 @@ def _capture_formulas(scene: SceneFields, name: str, joint: Joint) -> dict[str, 
         angle0 = "0"
         relative = f"{position[0]} - ({joint.to.x or 0})", f"{position[1]} - ({joint.to.y or 0})"
     values = {"x": relative[0], "y": relative[1], "turn": f"{angle} - {angle0}"}
-    return {
-        variable: values[variable.rpartition(".")[2]]
-        for variable in captured_variables(name, joint)
-    }
+    variables = captured_variables(name, joint)
+    return {variable: values[variable.rpartition(".")[2]] for variable in variables}
 
 
 def _as_captured(name: str, joint: Joint) -> Joint:
@@ -329,8 +317,8 @@ def _as_captured(name: str, joint: Joint) -> Joint:
     if isinstance(joint.to, Point):
         end = Point(body=joint.to.body, at=(f"{name}.x", f"{name}.y"))
         return replace_fields(joint, to=end)
-    to = {
-        axis: None if (text := getattr(joint.to, axis)) is None else f"{text} + {name}.{axis}"
-        for axis in ("x", "y")
-    }
-    return replace_fields(joint, to=Path(**to))
+    x, y = (
+        None if text is None else f"{text} + {name}.{axis}"
+        for axis, text in (("x", joint.to.x), ("y", joint.to.y))
+    )
+    return replace_fields(joint, to=Path(x=x, y=y))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
+from itertools import pairwise
 from string import digits
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
@@ -222,17 +223,15 @@ class SceneFields(Declaration):
         """
         several = any(body.copies is not None for body in self.bodies.values())
         counts = self.counted(self.values()) if several else dict.fromkeys(self.bodies)
-        result: dict[str, str] = {}
         groups = {
             name: 2 * body.prescribed + body.fixed + (body.linked and bool(self.collisions))
             for name, body in self.bodies.items()
         }
+        result: dict[str, str] = {}
         for name in sorted(self.bodies, key=groups.__getitem__):
             count = counts[name]
-            if count is None:
-                result[name] = name
-            else:
-                result |= {f"{name}{index}": name for index in range(count)}
+            names = [name] if count is None else [f"{name}{index}" for index in range(count)]
+            result |= dict.fromkeys(names, name)
         return result
 
     def starts(self) -> dict[str, FiniteText]:
@@ -279,12 +278,10 @@ class SceneFields(Declaration):
         Raises `DeclarationProblem` if a number of copies is not whole, or too large.
         """
         counts: dict[str, int | None] = dict.fromkeys(self.bodies)
-        for name, body in self.bodies.items():
-            if body.copies is None:
-                continue
+        for name in (n for n, body in self.bodies.items() if body.copies is not None):
             loc = ("bodies", name, "copies")
-            number = value_of(body.copies, values, *loc)
-            if not (1 <= number <= _MOST_COPIES and number == int(number)):
+            number = value_of(self.bodies[name].copies or 0, values, *loc)
+            if number not in range(1, _MOST_COPIES + 1):
                 raise DeclarationProblem(
                     f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc
                 )
@@ -295,11 +292,10 @@ class SceneFields(Declaration):
         """Return the scene with the numbers of copies for these overrides, or itself."""
         if not self.whole or self.counted(self.values()) == self.counted(self.values(overrides)):
             return self
-        deciding, further = set(self.whole), set(self.whole)
+        deciding, further = frozenset[str](), self.whole
         while further:
-            texts = (self.parameters[name] for name in further)
-            further = {*used_names(texts)} & (self.parameters.keys() - deciding)
             deciding |= further
+            further = used_names(map(self.parameters.__getitem__, further)) - deciding
         chosen = {name: value for name, value in overrides.items() if name in deciding}
         return replace_fields(self, parameters={**self.parameters, **chosen})
 
@@ -311,14 +307,12 @@ class SceneFields(Declaration):
     def stated(self, name: str) -> Quantity:
         """Return the physical quantity of a name of the scene."""
         owner, _, quantity = name.rpartition(".")
-        dimensions = self._dimensions(owner)
+        dimensions, place = self._dimensions(owner), quantity.removeprefix("d")
         if quantity in dimensions:
             kind = "slack" if owner in self.joints and quantity == "gap" else quantity
             return Quantity(f"{kind} of {owner}", dimensions[quantity])
-        if owner and quantity.startswith("d") and quantity[1:] in _OF_BODIES:
-            return Quantity(
-                f"rate of {quantity[1:]} of {owner}", per_time(_OF_BODIES[quantity[1:]])
-            )
+        if owner and place != quantity and place in _OF_BODIES:
+            return Quantity(f"rate of {place} of {owner}", per_time(_OF_BODIES[place]))
         if name == INDEX and name not in self.parameters:
             return Quantity("number of a copy", "1")
         if dimension := timer_dimension(self.controlled.flat.values(), name):
@@ -351,10 +345,9 @@ class SceneFields(Declaration):
             for key, text in body.start.items():
                 yield parse(text).root, POWERS[self.stated(f"{name}.{key}").dimension]
         for name, coordinate in self.coordinates.items():
-            rate = rate_of(name)
-            yield Name(self.rate_name(name)), rate
+            yield Name(self.rate_name(name)), rate_of(name)
             yield parse(coordinate.start).root, Name(name)
-            yield parse(coordinate.rate).root, rate
+            yield parse(coordinate.rate).root, rate_of(name)
         # The variable of heights.
         yield Name("x"), POWERS["length"]
         yield from super().facts()
@@ -367,9 +360,9 @@ class SceneFields(Declaration):
         declared = self.contacts[contact]
         body = self.bodies[declared.point.body]
         rubs = "slide" in declared.kinds and not declared.frictionless
-        rubs = rubs and declared.stiffness is None
         turns = body.inertia is not None or body.position is not None
-        return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
+        wedged = rubs and declared.stiffness is None and (turns or len(self.contacts) > 1)
+        return wedged and self.paradox == "impact"
 
     def bounces(self, contact: str) -> bool:
         """Return whether impacts may accumulate at a contact, alone or with coupled ones."""
@@ -383,23 +376,18 @@ class SceneFields(Declaration):
     @cached_property
     def _coupled_contacts(self) -> Mapping[str, int]:
         """Body -> contacts of the bodies that joints, coordinates and contacts couple to it."""
-        links = [tuple(end.body for end in joint.ends.values()) for joint in self.joints.values()]
-        for contact in self.contacts.values():
-            carrier = self.surfaces[contact.surface].body
-            links += [] if carrier is None else [(contact.point.body, carrier)]
+        from sympy.utilities.iterables import connected_components
+
+        contacts = [(x.point.body, self.surfaces[x.surface].body) for x in self.contacts.values()]
+        links = [(body, carrier) for body, carrier in contacts if carrier is not None]
+        for joint in self.joints.values():
+            links += pairwise(end.body for end in joint.ends.values())
         # Bodies meet at the coordinates that place them, which have other names than bodies.
-        links += [
-            (n, q) for n, b in self.bodies.items() for q in b.placing & self.coordinates.keys()
-        ]
-        groups: dict[str, set[str]] = {}
-        for link in links + [(contact.point.body,) for contact in self.contacts.values()]:
-            own = [groups.setdefault(name, {name}) for name in link]
-            largest = max(own, key=len)
-            for group in own:
-                largest |= group
-                groups |= dict.fromkeys(group if group is not largest else (), largest)
-        counts = Counter(id(groups[contact.point.body]) for contact in self.contacts.values())
-        return {name: counts[id(group)] for name, group in groups.items()}
+        for name, body in self.bodies.items():
+            links += [(name, q) for q in body.placing & self.coordinates.keys()]
+        counts = Counter(body for body, _ in contacts)
+        groups = connected_components(([*self.bodies, *self.coordinates], links))
+        return {name: sum(counts[n] for n in group) for group in groups for name in group}
 
     @cached_property
     def controlled(self) -> Controls:
@@ -433,8 +421,8 @@ class SceneFields(Declaration):
         """Return the free direction, "X" or "Y", of the guide that a coupling is in; "" else."""
         declared = self.couplings.get(coupling)
         joint = self.joints.get((declared and declared.joint) or "")
-        held = [c for c in ("X", "Y") if joint is not None and c in joint.components]
-        return {"X": "Y", "Y": "X"}[held[0]] if len(held) == 1 else ""
+        held = {"X", "Y"} & {*(joint.components if joint is not None else ())}
+        return {"X": "Y", "Y": "X"}[held.pop()] if len(held) == 1 else ""
 
     def coupled(self, coupling: str) -> tuple[str, ...]:
         """Return the one or two bodies of a coupling; a fixed end of its joint is the world."""
@@ -487,15 +475,11 @@ class SceneFields(Declaration):
                 continue
             turns = body.prescribed or body.angle is not None
             places = ["x", "y", "angle"] if turns else ["x", "y"]
-            names |= {f"{name}.{place}" for place in places}
             # How a control changes within a state is not known.
-            varying = {
-                control
-                for control in body.placing.intersection(self.controls)
-                for text in self.controlled.texts(control)
-                if parse(text).names - self.parameters.keys()
-            }
-            names |= set() if varying else {f"{name}.d{place}" for place in places}
+            controls = body.placing.intersection(self.controls)
+            texts = [text for control in controls for text in self.controlled.texts(control)]
+            rates = [] if used_names(texts) - self.parameters.keys() else [f"d{x}" for x in places]
+            names |= {f"{name}.{place}" for place in (*places, *rates)}
         return frozenset(names)
 
     @cached_property

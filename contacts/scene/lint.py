@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import combinations, pairwise
+from itertools import combinations
 
 from contacts.scene.fields import SceneFields
-from contacts.scene.friction import Friction
+from contacts.scene.friction import Friction, coefficients
 from contacts.scene.parts import MOREAU, Contact
 from contacts.scene.regions import BODY_CAUSES, BODY_IMPACT, BODY_STATES
 from statechart.charts.transitions import declared_transitions
@@ -45,16 +45,15 @@ def lint(scene: SceneFields) -> tuple[str, ...]:
 def _warnings(scene: SceneFields) -> Iterator[str]:
     if not isinstance(scene.gravity, tuple):
         value = _constant_value(parse(scene.gravity).root, scene.parameters)
-        if value is not None and value < 0.0:
+        if value < 0.0:
             yield (
                 f"gravity: {value:g} acts upwards, as it is the acceleration downwards; "
                 f"write {-value:g}"
             )
     for name, body in scene.bodies.items():
-        if "angle" in body.start:
-            value = _constant_value(parse(body.start["angle"]).root, scene.parameters)
-            if value is not None and abs(value) > _TURN:
-                yield f"bodies.{name}.start.angle: {_degrees(value)}"
+        value = _constant_value(parse(body.start.get("angle", 0)).root, scene.parameters)
+        if abs(value) > _TURN:
+            yield f"bodies.{name}.start.angle: {_degrees(value)}"
     yield from _static_by_hand(scene)
     if scene.collisions:
         yield from _idle(scene)
@@ -66,7 +65,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     for formula, _ in fields_of(scene):
         for call in calls_in(formula, _OF_ANGLES):
             value = _constant_value(call.arguments[0], {})
-            if value is not None and abs(value) > _TURN:
+            if abs(value) > _TURN:
                 yield f"{call.function}({value:g}): {_degrees(value)}"
 
 
@@ -97,20 +96,14 @@ def _idle(scene: SceneFields) -> Iterator[str]:
 
     Fixed and led bodies may serve as ends of joints alone.
     """
-    bodies = {name for law in scene.collisions.values() for name in law.bodies}
+    used = {("bodies", name) for law in scene.collisions.values() for name in law.bodies}
+    used |= {("surfaces", name) for law in scene.collisions.values() for name in law.surfaces}
     owners = scene.owners()
-    for joint in scene.joints.values():
-        ends = {owners[end.body] for end in joint.ends.values()}
-        bodies |= {name for name in ends if scene.bodies[name].prescribed}
-    surfaces = {name for law in scene.collisions.values() for name in law.surfaces}
-    for kind, idle in (
-        (
-            "bodies",
-            [n for n, b in scene.bodies.items() if b.shape and not (b.linked or n in bodies)],
-        ),
-        ("surfaces", [name for name in scene.surfaces if name not in surfaces]),
-    ):
-        for name in idle:
+    ends = {owners[end.body] for joint in scene.joints.values() for end in joint.ends.values()}
+    used |= {("bodies", name) for name in ends if scene.bodies[name].prescribed}
+    shaped = [("bodies", n) for n, body in scene.bodies.items() if body.shape and not body.linked]
+    for kind, name in (*shaped, *(("surfaces", name) for name in scene.surfaces)):
+        if (kind, name) not in used:
             yield (
                 f"{kind}.{name}: it collides with nothing; list it in {kind} of "
                 "collisions, if it should"
@@ -119,12 +112,7 @@ def _idle(scene: SceneFields) -> Iterator[str]:
 
 def _impossible_events(scene: SceneFields) -> Iterator[str]:
     """Yield warnings about awaited events and states that bodies with shapes cannot have."""
-    owners = scene.owners()
-    awaited = [
-        (f"outputs.{name}", output.moment.events if isinstance(output, Value) else output.events)
-        for name, output in scene.outputs.items()
-        if isinstance(output, Value | Count)
-    ]
+    owners, awaited = scene.owners(), [*_events_of_outputs(scene)]
     for region, declared in scene.regions.items():
         for transition, loc in declared_transitions(declared, "regions", region):
             awaited.append((".".join(map(str, loc)), transition.events))
@@ -137,6 +125,14 @@ def _impossible_events(scene: SceneFields) -> Iterator[str]:
                 causes = [cause for cause in BODY_CAUSES if cause in possible]
                 advice = f"its events are {', '.join(causes)}" if causes else "it has no collisions"
                 yield f"{place}: {body}.{event} never happens in this scene; {advice}"
+
+
+def _events_of_outputs(scene: SceneFields) -> Iterator[tuple[str, Sequence[Event]]]:
+    """Yield the place and the awaited events of outputs."""
+    for name, output in scene.outputs.items():
+        if isinstance(output, Value | Count):
+            moment = output.moment if isinstance(output, Value) else output
+            yield f"outputs.{name}", moment.events
 
 
 def _events_of_body(scene: SceneFields, body: str) -> set[str]:
@@ -163,18 +159,16 @@ def _events_of_body(scene: SceneFields, body: str) -> set[str]:
 
 def _spread(scene: SceneFields) -> Iterator[str]:
     """Yield warnings about inertias that are implausible for the shapes (mixed units)."""
-    values = scene.values()
+    number = evaluator(scene.values())
     for name, body in scene.bodies.items():
         if not body.shape or body.inertia is None:
             continue
-        reach = 0.0
-        for shape in body.shape:
-            rim = parse(shape.disc or 0).value(values)
-            for corner in (shape.at,) if shape.polygon is None else shape.polygon:
-                reach = max(
-                    reach, math.hypot(*(parse(text).value(values) for text in corner)) + rim
-                )
-        mass, inertia = (parse(text).value(values) for text in (body.mass, body.inertia))
+        reach = max(
+            math.hypot(*map(number, corner)) + number(shape.disc or 0)
+            for shape in body.shape
+            for corner in shape.polygon or (shape.at,)
+        )
+        mass, inertia = number(body.mass), number(body.inertia)
         largest = mass * reach**2
         if largest > 0.0 and not _MIN_INERTIA * largest <= inertia <= _MAX_INERTIA * largest:
             yield (
@@ -209,17 +203,16 @@ def _starts_inside(scene: SceneFields) -> Iterator[str]:
             )
 
 
-def _constant_value(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:
-    """Return the value of a constant, or of a parameter that is one; None for other formulas."""
+def _constant_value(node: Node, parameters: Mapping[str, FormulaText]) -> float:
+    """Return the value of a constant, or of a parameter that is one; nan for other formulas."""
     match node:
         case Number(value=value):
             return value
         case Unary(operator=sign, operand=operand):
-            found = _constant_value(operand, parameters)
-            return -found if found is not None and sign == "-" else found
+            return _constant_value(operand, parameters) * (-1.0 if sign == "-" else 1.0)
         case Name(name=name) if name in parameters:
             return _constant_value(parse(parameters[name]).root, {})
-    return None
+    return math.nan
 
 
 def _degrees(value: float) -> str:
@@ -231,15 +224,10 @@ def _degrees(value: float) -> str:
 def stays_off_warning(scene: SceneFields, contact: str, depth: float) -> str:
     """Return the warning about a contact that stays off since its point is inside the surface."""
     surface = scene.contacts[contact].surface
+    when = f"edge {surface} when it reaches it; let the ends of edges meet"
     if scene.surfaces[surface].edge is None:
-        return (
-            f"{contact} stays off: its point is {depth:.3g} below the surface {surface} when "
-            "its conditions become true; let adjacent surfaces meet"
-        )
-    return (
-        f"{contact} stays off: its point is {depth:.3g} below the edge {surface} when it "
-        "reaches it; let the ends of edges meet"
-    )
+        when = f"surface {surface} when its conditions become true; let adjacent surfaces meet"
+    return f"{contact} stays off: its point is {depth:.3g} below the {when}"
 
 
 def missed_edge_warning(contact: str) -> str:
@@ -260,9 +248,9 @@ def goes_off_warning(contact: str, time: float) -> str:
 
 def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
     """Yield a warning for each two edges whose ends nearly meet."""
-    values = scene.values()
+    number = evaluator(scene.values())
     ends = {
-        name: [tuple(parse(text).value(values) for text in corner) for corner in surface.edge]
+        name: [tuple(map(number, corner)) for corner in surface.edge]
         for name, surface in scene.surfaces.items()
         if surface.edge is not None and not surface.moves
     }
@@ -299,10 +287,9 @@ def replaced_laws(scene: SceneFields, values: Mapping[str, float]) -> dict[str, 
             "as with impact"
         )
     waiting = [
-        f"outputs.{name}"
-        for name, output in scene.outputs.items()
-        if (isinstance(output, Value) and _accumulates(output.moment.events))
-        or (isinstance(output, Count) and _accumulates(output.events))
+        place
+        for place, events in _events_of_outputs(scene)
+        if any(event.cause == "zeno" for event in events)
     ]
     regions = scene.controlled.flat.items()
     waiting += [f"regions.{name}" for name, region in regions if "zeno" in region.awaited]
@@ -346,40 +333,27 @@ def _passed_instants(scene: SceneFields, values: Mapping[str, float]) -> Iterato
             )
 
 
-def _accumulates(events: Sequence[Event]) -> bool:
-    return any(event.cause == "zeno" for event in events)
-
-
 def _nearly_meet(scene: SceneFields) -> bool:
     """Return whether contacts may be coupled: on one body, or by joints and coordinates."""
     linked = bool(scene.joints) or any(body.position is not None for body in scene.bodies.values())
-    touched = sorted(
-        body
-        for contact in scene.contacts.values()
-        for body in (contact.point.body, scene.surfaces[contact.surface].body)
-        if body is not None
-    )
-    return len(scene.contacts) > 1 and (linked or any(a == b for a, b in pairwise(touched)))
+    touched = [contact.point.body for contact in scene.contacts.values()]
+    carriers = (scene.surfaces[contact.surface].body for contact in scene.contacts.values())
+    touched += [body for body in carriers if body is not None]
+    return len(scene.contacts) > 1 and (linked or len({*touched}) < len(touched))
 
 
 def _impact_laws_agree(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
     """Return whether all impact laws agree: no friction, or a free particle or centred point."""
-    if contact.frictionless:
+    static, _ = coefficients("inf" if contact.friction is None else contact.friction)
+    largest = parse(static)
+    if contact.frictionless or (largest.names <= values.keys() and largest.value(values) == 0.0):
         return True
-    declared = contact.friction
-    largest = declared.static if isinstance(declared, Friction) else declared
-    if largest is not None:
-        friction = parse(largest)
-        if set(friction.names) <= set(values) and friction.value(values) == 0.0:
-            return True
     name = contact.point.body
     body = scene.bodies[name]
-    jointed = any(
-        end.body == name for joint in scene.joints.values() for end in joint.ends.values()
-    )
+    jointed = {end.body for joint in scene.joints.values() for end in joint.ends.values()}
     fixed = scene.surfaces[contact.surface].body is None
     # Its normal impulse does not turn it, and friction does not lift it.
     centred = contact.rolling_resistance is None
     centred = centred and all(parse(text).value(values) == 0.0 for text in contact.point.at)
     free = (body.inertia is None or centred) and body.position is None
-    return free and fixed and not jointed
+    return free and fixed and name not in jointed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from typing import Any, Self, get_args
+from typing import Any, Self, TypeVar, get_args
 
 from pydantic import model_validator
 
@@ -43,6 +43,8 @@ from statechart.errors import DeclarationProblem, Findings, Loc
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import parse_relation
 
+_Scene = TypeVar("_Scene", bound="Scene")
+
 
 class Scene(SceneFields):
     """Rigid bodies in contact.
@@ -61,15 +63,11 @@ class Scene(SceneFields):
         And with those that count periods (`statechart.charts.wrapping`).
         """
         scene, counts = count_periods(self)
-        regions = {name: Controller.counting(count) for name, count in counts.items()}
         if counts:
-            scene = scene.model_construct(
-                **{**_fields(scene), "regions": {**regions, **scene.regions}}
-            )
+            regions = {name: Controller.counting(count) for name, count in counts.items()}
+            scene = _replaced(scene, {"regions": {**regions, **scene.regions}})
         added = expansion(scene)
-        if not added:
-            return scene
-        return self.model_construct(**{**_fields(scene), **added})
+        return _replaced(scene, added) if added else scene
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the scene under the other meanings of simultaneous impacts."""
@@ -94,9 +92,9 @@ class Scene(SceneFields):
             elif body.position is not None:
                 reasons[f"coordinates of {name}"] = "its position follows from those of the scene"
         for name, contact in self.contacts.items():
-            missing = [mode for mode in ("free", "slide", "pin") if mode not in contact.kinds]
-            for mode in missing:
-                reasons[f"{mode} of {name}"] = "not among its modes"
+            for mode in ("free", "slide", "pin"):
+                if mode not in contact.kinds:
+                    reasons[f"{mode} of {name}"] = "not among its modes"
             if contact.frictionless and "slide" in contact.kinds:
                 reasons[f"friction of {name}"] = "frictionless: one slide, without direction"
             elif "slide" not in contact.kinds:
@@ -126,7 +124,7 @@ class Scene(SceneFields):
             for used in (name, self.rate_name(name)):
                 if used in declared:
                     raise _twice(used, loc, declared[used], " for the coordinate")
-            declared |= dict.fromkeys((name, self.rate_name(name)), loc)
+                declared[used] = loc
         things: dict[str, str] = {}  # Name -> its section
         for section in ("bodies", "contacts", "joints", "couplings", "controls", "regions"):
             for name in getattr(self, section):
@@ -141,11 +139,12 @@ class Scene(SceneFields):
                         see=(things[name], name),
                     )
                 things[name] = section
+        declared = {
+            n: (section, n) for n, section in things.items() if section != "regions"
+        } | declared
         for region, controller in self.regions.items():
             for name in controller.variables:
                 loc = ("regions", region, "variables", name)
-                if things.get(name, "regions") != "regions":
-                    declared.setdefault(name, (things[name], name))
                 if name in declared:
                     raise _twice(name, loc, declared[name])
                 declared[name] = loc
@@ -169,10 +168,10 @@ class Scene(SceneFields):
                     advice = f"against the world write bodies: [{self.coupled(str(loc[1]))[0]}]"
                     raise DeclarationProblem(f"no body {referred!r}", advice=advice, loc=loc)
                 check_member(kind, referred, known, *loc)
+        copied = {name for name, body in self.bodies.items() if body.copies is not None}
         for name, surface in self.surfaces.items():
             with findings:
-                carrier = self.bodies.get(surface.body or "")
-                if carrier is not None and carrier.copies is not None:
+                if surface.body in copied:
                     raise DeclarationProblem(
                         f"one body carries a surface, and {surface.body!r} has copies",
                         advice="declare the body that carries it by itself, without copies",
@@ -221,13 +220,11 @@ class Scene(SceneFields):
         with findings:
             self.controlled.check_controller_state(self.kinematic_names)
         # A body that does not move may have a constant place.
-        nothing_moves = not self.coordinates and all(
-            body.position is not None for body in self.bodies.values()
-        )
+        free = [name for name, body in self.bodies.items() if body.position is None]
         check_prescribed(self, findings)
         for name, body in self.bodies.items():
             with findings:
-                if body.position is not None and nothing_moves and not body.prescribed:
+                if not (self.coordinates or free or body.prescribed):
                     raise DeclarationProblem(
                         "a position is a formula of coordinates, and the scene has none",
                         advice=FREE_START,
@@ -273,19 +270,17 @@ class Scene(SceneFields):
             for name, part in parts.items()
             for place, text in enumerate(part.enabled)
         ]
-        parameters = frozenset(self.parameters)
         known = self.kinematic_names | self.placed_names | {*self.controls}
         known |= {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         known |= {f"{coupling}.slip" for coupling in self.couplings}
-        changing = known - parameters
+        changing = known - {*self.parameters}
         named = {name: {*region.named} for name, region in self.controlled.flat.items()}
-        frictional = {*self.frictional}
-        ropes = {joint_name for joint_name, joint in self.joints.items() if joint.rope is not None}
+        ropes = {name for name, joint in self.joints.items() if joint.rope is not None}
         for text, here in relations:
             with findings:
                 for member in parse_relation(text).members:
                     owner = member.region
-                    if owner in frictional or owner in ropes:
+                    if owner in ropes or owner in self.frictional:
                         quantity = f"{owner}.{'gap' if owner in self.contacts else 'slip'}"
                         relation = "" if owner in ropes else f"a relation of {quantity}, or "
                         raise DeclarationProblem(
@@ -295,7 +290,7 @@ class Scene(SceneFields):
                             f"to the events of {owner}",
                             loc=here,
                         )
-                for name in sorted(parse_relation(text).names - known - parameters):
+                for name in sorted(parse_relation(text).names - known):
                     if name.endswith((".V", ".H", ".M")):
                         raise DeclarationProblem(
                             f"`enabled` cannot ask for the force {name}",
@@ -306,14 +301,13 @@ class Scene(SceneFields):
 
     def _coordinates_move_bodies(self, findings: Findings) -> None:
         used = frozenset[str]().union(*(body.placing for body in self.bodies.values()))
-        for name in self.coordinates:
+        for name in (n for n in self.coordinates if n not in used):
             with findings:
-                if name not in used:
-                    raise DeclarationProblem(
-                        "it moves no body",
-                        advice="use it in the position or the angle of a body, or remove it",
-                        key=("coordinates", name),
-                    )
+                raise DeclarationProblem(
+                    "it moves no body",
+                    advice="use it in the position or the angle of a body, or remove it",
+                    key=("coordinates", name),
+                )
 
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
@@ -344,9 +338,8 @@ class Scene(SceneFields):
             found[name] = {*_active(expanded.region_states(name))}
             causes[name] = {edge.cause for edge in expanded.region_edges(name)}
         if self.collisions:
-            states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
-            found |= dict.fromkeys(self.moving(), states_of_bodies)
-            causes |= dict.fromkeys(self.moving(), causes_of_bodies)
+            found |= {name: {*_active(BODY_STATES)} for name in self.moving()}
+            causes |= {name: {*BODY_CAUSES} for name in self.moving()}
         findings = Findings()
         with findings:
             self.check_uses(names, found, causes, changing)
@@ -361,15 +354,15 @@ class Scene(SceneFields):
         for name, joint in self.joints.items():
             for place, text in enumerate(joint.enabled):
                 with findings:
-                    at = ("joints", name, "enabled", place)
-                    check_relation(text, names, found, changing, *at)
+                    check_relation(text, names, found, changing, "joints", name, "enabled", place)
         findings.check()
         self.check_ranges()
         return self
 
 
-def _fields(scene: Scene) -> dict[str, Any]:
-    return {name: getattr(scene, name) for name in type(scene).model_fields}
+def _replaced(scene: _Scene, changes: Mapping[str, Any]) -> _Scene:
+    fields = {name: getattr(scene, name) for name in type(scene).model_fields}
+    return scene.model_construct(**{**fields, **changes})
 
 
 def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem:

@@ -27,10 +27,6 @@ TIME_MARGIN = 1e-6
 SLOW = 2.0 + TIME_MARGIN
 """Approach velocity of an impact, in velocity changes of a free step: a slower contact lasts."""
 
-LIVELY = 0.5
-"""Restitution from which a warning says that simultaneous impacts differ from sequential ones: a
-quarter of the approach energy returns. Below it the order rarely matters."""
-
 RESIDUAL, ITERATIONS, CONTACTS, CALMED, AMBIGUOUS, UNENDED, CHOSEN, WORK, JAMMED = range(9)
 """Columns of `Chunk.stats`: residual of impulses; iterations; active contacts; 1 if restitution was
 dropped because no impulses exist; 1 if a body is struck at several `LIVELY` places; fastest

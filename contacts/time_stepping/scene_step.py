@@ -194,14 +194,14 @@ def switch_contacts(
     numbers, n, off, h, left = tape.numbers, tape.size, memory.disabled, chunk.h, 1.0
     change, time, there = equations.change, instant.time, np.empty_like(numbers)
     deepest, at_kink = np.empty(len(off)), np.empty((len(off), 2), np.bool_)
-    landed = np.zeros(len(off), np.bool_)
+    landed, missed = np.zeros(len(off), np.bool_), np.full(len(off), math.inf)
     for i in range(len(off)):
         part, at_end = _end_of_condition(scene, memory, tape, i)
         landed[i] = at_end < -scene.gap_tolerance
         if landed[i]:
             memory.last[i, 1], left = at_end, min(left, part)
         elif at_end <= scene.gap_tolerance:
-            memory.missed_depths[i, 3] = min(memory.missed_depths[i, 3], time + (part - 1.0) * h)
+            missed[i] = time + (part - 1.0) * h
     for i in range(len(off)):
         deepest[i] = _deepest(memory, tape, i) - scene.gap_tolerance
         lies = min(deepest[i], memory.target_gap[i])
@@ -217,6 +217,7 @@ def switch_contacts(
         if not off[i] and condition < 0.0:
             if landed[i] or at_kink[i, 1 if memory.closed[i] else 0]:
                 continue
+            memory.missed_depths[i, 3] = min(memory.missed_depths[i, 3], missed[i])
             inside = memory.closed[i] or memory.target_gap[i] < 0.0
             if inside and gap < 0.0 and scene.bilateral[i] == 0:
                 # Its depth may be beyond the bound of a condition that holds on the surface.

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.contact_law import touching_pairs
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import cone_edge
-from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.stability import StepLimits
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array
 from statechart.automaton.margin_derivatives import derivative
 from statechart.automaton.trace import Key
 from statechart.formulas.formula import parse
@@ -141,7 +141,7 @@ class SteppedTape:
             [m.expression.xreplace(known) for margins in lengths.values() for m in margins]
         )
         self.size = len(mechanics.q)
-        self.pairs = _touching_pairs(mechanics.scene)
+        self.pairs = touching_pairs(mechanics.scene)
         self.plastic = mechanics.scene.simultaneous == "plastic"
         self.capped = mechanics.scene.simultaneous == "capped"
         self.may_jam = mechanics.scene.paradox == "impact"
@@ -215,15 +215,3 @@ def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     """Return the unit edge of a slipping coupling: its normal force is the static limit."""
     mu = sp.S.One if static == kinetic else kinetic / Max(static, _TINY)
     return cone_edge(mu)
-
-
-def _touching_pairs(scene: Scene) -> Ints:
-    """Return numbers (c,) of the pairs of bodies, or of a body and a surface, in contact."""
-    things: list[frozenset[str]] = []
-    for contact in scene.contacts.values():
-        carrier = scene.surfaces[contact.surface].body
-        ground = f"surface {contact.surface}" if carrier is None else f"body {carrier}"
-        things.append(frozenset({f"body {contact.point.body}", ground}))
-    things += [frozenset({f"coupling {name}"}) for name in scene.couplings]
-    numbers = {pair: k for k, pair in enumerate(dict.fromkeys(things))}
-    return np.array([numbers[pair] for pair in things], dtype=np.int64)

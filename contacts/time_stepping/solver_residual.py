@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.impact_sequence import LONGEST_SEQUENCE
+from contacts.solvers.step_impulses import LIVELY
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
     CALMED,
@@ -12,7 +13,6 @@ from contacts.time_stepping.chunk import (
     CONTACTS,
     ITERATIONS,
     JAMMED,
-    LIVELY,
     RESIDUAL,
     UNENDED,
     Chunk,

@@ -15,6 +15,7 @@ from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
     LIMIT,
+    LIVELY,
     SUM_ROUNDING,
     TWO,
     Island,
@@ -44,7 +45,6 @@ from contacts.time_stepping.chunk import (
     HIT,
     JAMMED,
     LASTING,
-    LIVELY,
     SEPARATED,
     SLOW,
     TIME_MARGIN,

@@ -56,7 +56,6 @@ class Coordinates:
     # (elimination, applied forces) -> equations of motion (each = 0) of the remaining coordinates
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
     written: Known  # undeclared parameters -> expressions shown to users
-    mass_unit: sp.Symbol | None = None  # parameter by which modes are scaled, unless it is 0
 
     def remaining(self, elimination: Elimination) -> tuple[int, ...]:
         """Return the indices of the remaining coordinates."""
@@ -104,15 +103,10 @@ def eliminate(
     first = {q: coordinates.rate(e) for q, e in positions.items()}
     rate = dict(zip(coordinates.positions, coordinates.rates, strict=True))
     follows = dict(zip(coordinates.positions, coordinates.accelerations, strict=True))
-    return Elimination(
-        positions,
-        {rate[q]: e.xreplace(anchors) for q, e in first.items()},
-        {follows[q]: coordinates.rate(e).xreplace(anchors) for q, e in first.items()},
-        anchors,
-        replaced,
-        frozenset(forces),
-        any(hold.steep for hold in holds),
-    )
+    rates = {rate[q]: e.xreplace(anchors) for q, e in first.items()}
+    second = {follows[q]: coordinates.rate(e).xreplace(anchors) for q, e in first.items()}
+    steep = any(hold.steep for hold in holds)
+    return Elimination(positions, rates, second, anchors, replaced, frozenset(forces), steep)
 
 
 def _pivot(place: sp.Expr, coordinates: Coordinates) -> tuple[sp.Symbol, sp.Expr] | None:

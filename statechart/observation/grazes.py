@@ -85,12 +85,13 @@ def _sentence(several: Sequence[Graze]) -> str:
             "less than its tolerance at the start of the flow, and does not fire; start the "
             "flow farther from the boundary"
         )
-    description = "fires" if graze.fired else "grazes its boundary"
-    would = "would be" if graze.fired else "is"
+    does, would, might = "grazes its boundary", "is", "fire"
+    if graze.fired:
+        does, would, might = "fires", "would be", "not fire"
     return (
-        f"{graze.guard} {description} at t = {graze.t:.6g}, where its least value {would} "
+        f"{graze.guard} {does} at t = {graze.t:.6g}, where its least value {would} "
         f"{graze.least:.2g}, within the error of the run, {graze.uncertainty:.2g}: it might "
-        f"{'not fire' if graze.fired else 'fire'}{further}"
+        f"{might}{further}"
     )
 
 
@@ -108,9 +109,8 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
         groups.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     last_arcs = {arc.j: arc for arc in trace.arcs}
     begun = {id(arc) for arc in {arc.j: arc for arc in reversed(trace.arcs)}.values() if arc.j}
-    ended = {
-        id(last_arcs[jump.j]): jump for jump in trace.jumps if jump.fired and jump.j in last_arcs
-    }
+    fired = (jump for jump in trace.jumps if jump.fired and jump.j in last_arcs)
+    ended = {id(last_arcs[jump.j]): jump for jump in fired}
     times = [jump.t for jump in trace.jumps]
 
     def simultaneous(t: float) -> Sequence[Jump]:
@@ -152,11 +152,9 @@ class _GuardScan:
         wholes = whole_margins(compiled.mode.margins)
         self._watched = tuple((margin.name, margin.kind) for margin in wholes)
         self._stops = stops
-        self._judged = np.array([
-            margin.kind == "plain"
-            and (margin.name in stops or ("." in margin.name and ": " not in margin.name))
-            for margin in wholes
-        ], np.bool_)  # fmt: skip
+        guards = stops | {m.name for m in wholes if "." in m.name and ": " not in m.name}
+        judged = [m.kind == "plain" and m.name in guards for m in wholes]
+        self._judged = np.array(judged, np.bool_)
         # Atom -> its relation.
         self._named = {margin.name: margin.name for margin in wholes}
         self._named |= {m.name: m.relation for m in compiled.mode.margins if m.whole is not None}
@@ -307,11 +305,8 @@ class _GuardScan:
                 touched = (np.abs(now) <= self._near * soon) & (before > np.abs(now))
             for k in np.flatnonzero(touched & self._judged).tolist():
                 graze = self._open(arc, k, 0.0, 0.0, fired=False)
-                if (
-                    graze
-                    and abs(graze.least) <= graze.uncertainty < before[k]
-                    and self._is_true(graze, states[1])
-                ):
+                near = graze and abs(graze.least) <= graze.uncertainty < before[k]
+                if graze and near and self._is_true(graze, states[1]):
                     yield graze._replace(placed=f"{jumps[0].region}.{jumps[0].cause}")
 
     def _is_true(self, graze: Graze, state: Array) -> bool:

@@ -34,7 +34,6 @@ class Scales(NamedTuple):
 NO_SCALES = Scales()
 """Every value is relative to itself."""
 
-
 _NEARLY_ZERO = 1e-3
 """Least scale of a quantity, relative to that of its dimension."""
 
