@@ -141,19 +141,18 @@ def _solve_simultaneously(
             plastic_share, share = _work_free_shares(snapshot, group, base, target)
         else:
             warnings.append(f"{names}: no impulse satisfies Moreau's law; the impact is plastic")
-    if len(plastic) > 1 or len(elastic_solutions) > 1:
-        several = plastic if len(plastic) > 1 else elastic_solutions
+    several = plastic if len(plastic) > 1 else elastic_solutions
+    if len(several) > 1:
         modes = " | ".join(", ".join(solution.states[i] for i in group) for solution in several)
         warnings.append(
             f"{names}: several impulses satisfy the impact law ({modes}); the run takes the first"
         )
     change = plastic_share * base.change + share * target.change
     impulses = plastic_share * base.impulses + share * target.impulses
-    modes = ", ".join(f"{laws[i].name}:{base.states[i]}" for i in group)
-    path = [f"plastic {modes}"]
-    if share > 0.0:
-        modes = ", ".join(f"{laws[i].name}:{target.states[i]}" for i in group)
-        path.append(f"to {share:.6g} moreau {modes}")
+    base_modes, modes = (
+        ", ".join(f"{laws[i].name}:{one.states[i]}" for i in group) for one in (base, target)
+    )
+    path = [f"plastic {base_modes}"] + ([f"to {share:.6g} moreau {modes}"] if share > 0.0 else [])
     note = ""
     if rebound and (struck := _order_matters(snapshot, laws, group, target.impulses)):
         note = (
@@ -194,10 +193,7 @@ def _work_free_shares(
         return 0.0, 1.0
     difference = target.change - plastic.change
     curvature = 0.5 * float(difference @ snapshot.mass @ difference)
-    plastic_share, share = parabola_root(
-        min(_work(snapshot, group, plastic)[0], 0.0), gain, curvature
-    )
-    return plastic_share, share
+    return parabola_root(min(_work(snapshot, group, plastic)[0], 0.0), gain, curvature)
 
 
 def _work(snapshot: Snapshot, group: Sequence[int], solution: Impulses) -> tuple[float, float]:
@@ -213,23 +209,16 @@ def _solve_sequentially(
     snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int]
 ) -> _GroupImpacts:
     """Compute impacts one after another, the fastest approach first, equal ones together."""
-    impulses = np.zeros((len(laws), 2))
-    path: list[str] = []
+    impulses, path, warnings = np.zeros((len(laws), 2)), list[str](), list[str]()
     current, first_approach, struck = snapshot, 0.0, set[int]()
-    terms = np.abs(snapshot.velocity)
-    warnings: list[str] = []
+    normals, terms = np.abs(snapshot.jacobians[group, 0]), np.abs(snapshot.velocity)
     while True:
-        moving = [current.contacts[i] for i in group]
-        limits = [
-            _ROUND_OFF * (abs(c.gap_rate) + float(np.abs(normal) @ terms))
-            for c, normal in zip(moving, snapshot.jacobians[group, 0], strict=True)
-        ]
-        approaching = [
-            k for k in range(len(group)) if moving[k].gap_rate < (-limits[k] if path else 0.0)
-        ]
+        rates = np.array([current.contacts[i].gap_rate for i in group])
+        limits = _ROUND_OFF * (np.abs(rates) + normals @ terms) if path else 0.0
+        approaching: list[int] = np.flatnonzero(rates < -limits).tolist()
         if not approaching:
             break
-        approach = -min(moving[k].gap_rate for k in approaching)
+        approach = -float(rates[approaching].min())
         first_approach = first_approach or approach
         endless = len(path) >= LONGEST_SEQUENCE or approach < _MIN_APPROACH * first_approach
         if endless:
@@ -243,7 +232,7 @@ def _solve_sequentially(
             results = [result._replace(path=["plastic rest"])]
         else:
             # Equal approaches are one impact where they affect each other.
-            alike = [k for k in approaching if -moving[k].gap_rate >= (1.0 - ALIKE) * approach]
+            alike = [k for k in approaching if -rates[k] >= (1.0 - ALIKE) * approach]
             fastest = [i in {group[k] for k in alike} for i in range(len(laws))]
             struck.update(alike)
             results = [
@@ -267,9 +256,9 @@ def _solve_sequentially(
 
 
 def _with_velocity(snapshot: Snapshot, velocity: Array) -> Snapshot:
-    contacts = []
-    for contact, jacobian in zip(snapshot.contacts, snapshot.jacobians, strict=True):
-        normal, slip = (jacobian @ (velocity - snapshot.velocity)).tolist()
-        rates = {"gap_rate": contact.gap_rate + normal, "slip": contact.slip + slip}
-        contacts.append(contact._replace(**rates))
-    return snapshot._replace(velocity=velocity, contacts=tuple(contacts))
+    changes = (snapshot.jacobians @ (velocity - snapshot.velocity)).tolist()
+    contacts = tuple(
+        contact._replace(gap_rate=contact.gap_rate + normal, slip=contact.slip + tangential)
+        for contact, (normal, tangential) in zip(snapshot.contacts, changes, strict=True)
+    )
+    return snapshot._replace(velocity=velocity, contacts=contacts)

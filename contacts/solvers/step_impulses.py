@@ -15,6 +15,7 @@ from contacts.solvers.contact_rows import (
     BEGINS,
     LAW,
     ON_TRIAL,
+    RESTING,
     ContactRows,
     apply_impulse,
     clear_rates,
@@ -205,7 +206,7 @@ def coordinate_rows(jacobians: Array, columns: Array, pads: Array, cones: Array)
     contacts = ContactRows(
         np.empty((count, threes), np.int64), threes, np.zeros((count, 2, 3 * threes)),
         np.zeros((count, 2, 3 * threes)), np.empty((count, 3)), cones, np.empty((count, LAW)),
-        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)), 1, 0,
+        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)), 1, 0, np.zeros(1),
     )  # fmt: skip
     for a in range(count):
         for side in range(threes):
@@ -251,6 +252,7 @@ def coordinate_impulses(
     size = 0.0
     for a in range(len(free)):
         size = max(size, largest_size(free[a]), largest_size(before[a]))
+    contacts.floor[0] = RESTING * size
     for a in range(len(free)):
         for d in range(2):
             q[a, d] = free[a, d] + island.bias[a, d]

@@ -110,8 +110,7 @@ class DiscretisationError:
         known = self._slips(now, chunk, start, codes)
         if now.source.limits.forces is not None:
             mass = now.source.equations(now.values, chunk.states[0], start).mass
-            missed = now.source.limits.missed(mass, now.values, start, h, chunk.states)
-            known = known if missed is None else known + missed
+            known = known + now.source.limits.missed(mass, now.values, start, h, chunk.states)
         drift = self._drift + np.cumsum(known, axis=0)
         self._drift, self._drifted = drift[-1], np.maximum(self._drifted, np.abs(drift).max(axis=0))
         struck: Bools = np.any(chunk.struck, axis=1)
@@ -223,8 +222,7 @@ class _Touches(NamedTuple):
             change = _impact(now, state, self.time - touch, struck)
             if change is None:
                 return None
-            state[n : 2 * n] += change
-            since = touch
+            state[n : 2 * n], since = state[n : 2 * n] + change, touch
         return state[n : 2 * n]
 
     def velocity_error(self, now: Equations, h: float) -> Array:

@@ -86,15 +86,10 @@ def step_polynomials(
 
 def fill_undefined(rows: Array) -> Array:
     """Replace NaN by the value of the nearest row, the later of two."""
-    unknown = np.isnan(rows)
-    if not unknown.any():
-        return rows
-    result = rows.copy()
-    for column in np.flatnonzero(unknown.any(axis=0)).tolist():
-        known = np.flatnonzero(~unknown[:, column])
-        if not len(known):
-            continue
-        blank = np.flatnonzero(unknown[:, column])
+    unknown, result = np.isnan(rows), rows
+    for column in np.flatnonzero(unknown.any(axis=0) & ~unknown.all(axis=0)).tolist():
+        result = rows.copy() if result is rows else result
+        blank, known = np.flatnonzero(unknown[:, column]), np.flatnonzero(~unknown[:, column])
         after = np.minimum(np.searchsorted(known, blank), len(known) - 1)
         before = np.maximum(after - 1, 0)
         later = np.abs(known[after] - blank) <= np.abs(known[before] - blank)
@@ -140,11 +135,8 @@ class Steps(NamedTuple):
 
     def without_impulses(self) -> Steps:
         """Drop impulses and struck regions."""
-        return self._replace(
-            impulses=self.impulses[:0].copy(),
-            joint_impulses=self.joint_impulses[:0].copy(),
-            struck=self.struck[:0].copy(),
-        )
+        names = ("impulses", "joint_impulses", "struck")
+        return self._replace(**{name: getattr(self, name)[:0].copy() for name in names})
 
     @property
     def width(self) -> int:
@@ -271,14 +263,9 @@ class ArcMaker:
             return lazy
         whole, steps = self._of(lazy.steps), lazy.steps
         first = int(steps.places[lazy.step])
-        of_regions = steps.impulses[lazy.step]
-        places = np.flatnonzero(of_regions.any(axis=1))
-        impulses = {
-            self._regions[i]: (normal, tangential)
-            for i, (normal, tangential) in zip(
-                places.tolist(), of_regions[places].tolist(), strict=True
-            )
-        }
+        of_regions = zip(self._regions, steps.impulses[lazy.step].tolist(), strict=False)
+        impulses = {name: (normal, along) for name, (normal, along) in of_regions}
+        impulses = {name: impulse for name, impulse in impulses.items() if any(impulse)}
         of_joints = zip(self._joint_forces, steps.joint_impulses[lazy.step].tolist(), strict=True)
         return Jump(
             lazy.t, lazy.j, lazy.region, lazy.cause, lazy.source, lazy.target,

@@ -129,23 +129,16 @@ class SteppedRun:
         values, record, watch = self.setup.values, request.record, request.outputs
         # Controllers react to the events of regions.
         records = record is Record.MODES or self.control is not None
+        regions = len(inputs.codes)
         self.recorder = Recorder(
-            stepper.regions[: len(inputs.codes)],
-            inputs.codes,
-            inputs.controls,
-            stepper.sticks,
-            stepper.gated[: len(inputs.codes)],
-            stepper.again,
-            stepper.joint_forces,
-            stepper.forces,
+            stepper.regions[:regions], inputs.codes, inputs.controls, stepper.sticks,
+            stepper.gated[:regions], stepper.again, stepper.joint_forces, stepper.forces,
             lambda states, times: stepper.energy.table(states, values, times)[:, 0],
-            len(stepper.angles),
-            self.system.slips,
-            self.system.slip_errors,
+            len(stepper.angles), self.system.slips, self.system.slip_errors,
             self.setup.residual_slip,
             modes=records or (watch is not None and watch.events),
             motion=watch is not None and watch.motion,
-        )
+        )  # fmt: skip
         self.stops = StopConditions(stepper.stops, self.setup, inputs.controls)
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
@@ -192,10 +185,8 @@ class SteppedRun:
             return
         yield True
         whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
-        rest = until - whole * step
-        if rest <= 1e-9 * step:
-            counts = [(whole, step)]
-        else:
+        rest, counts = until - whole * step, [(whole, step)]
+        if rest > 1e-9 * step:
             # Forces are impulses over a step: in a very short one they would be round-off.
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
         largest = max(1, min(_CHUNK, _CHUNK_BYTES // (TERMS * self.state.nbytes)))
@@ -203,22 +194,15 @@ class SteppedRun:
         each = max(1, round(min(self._every / step, _COUNTED)))
         for count, h in counts:
             # A step may be split into a power of two of parts.
-            done = 0.0
-            first = self.time
+            done, first = 0.0, self.time
             while done < count:
                 interrupts.check()
-                begin, count_left = first + done * h, count - done
-                if count_left < 1.0:
-                    chunk = self.system.steps(begin, count_left * h, self.state, 1)
-                else:
-                    chunk = self.system.steps(
-                        begin, h, self.state, min(int(count_left), most, each - int(done) % each)
-                    )
-                due = False
+                begin, left, due = first + done * h, count - done, False
+                size, number = min(left, 1.0) * h, min(int(left), most, each - int(done) % each)
+                chunk = self.system.steps(begin, size, self.state, max(number, 1))
                 if control is not None:
                     chunk, due = control.cut(chunk, begin, self.recorder)
-                work = float(chunk.stats[:, WORK].sum())
-                steps = len(chunk.codes)
+                work, steps = float(chunk.stats[:, WORK].sum()), len(chunk.codes)
                 chunk = self._until_stop(chunk, begin)
                 due = due and len(chunk.codes) == steps
                 if due:
@@ -253,9 +237,8 @@ class SteppedRun:
                 ends = recorder.slips_end(chunk)[-1]
             self._hand_on()
             if self._poses is not None:
-                self._poses.add(
-                    chunk, recorder.clock, len(recorder.control_jumps), recorder.controls
-                )
+                jumped = len(recorder.control_jumps)
+                self._poses.add(chunk, recorder.clock, jumped, recorder.controls)
             recorder.add(chunk)
             self.solver_residual.add(chunk, start)
             self.fastest = max(self.fastest, float(chunk.approach.max()))
@@ -313,29 +296,27 @@ class SteppedRun:
     def _admissible(self, chunk: Chunk, start: float) -> tuple[Chunk, SimulationError | None]:
         """Return the steps before the first one that ends the run as a failure, and that."""
         failure: SimulationError | None = None
-        rejection = without_limit(chunk, start, self.stepper.couplings)
-        if rejection is not None:
-            failure = rejection.why
-            chunk = chunk.first(rejection.step)
-        rejection = self._rejected(chunk, start)
-        if rejection is not None:
-            failure = rejection.why
-            chunk = chunk.first(rejection.step)
-        failed = self.solver_residual.beyond(chunk) or self._squeeze.find(
-            chunk, start, self.fastest, self.system.depth_left
+        checks: tuple[Callable[[Chunk], Rejection | None], ...] = (
+            lambda chunk: without_limit(chunk, start, self.stepper.couplings),
+            lambda chunk: self._rejected(chunk, start),
+            self.solver_residual.beyond,
+            lambda chunk: self._squeeze.find(chunk, start, self.fastest, self.system.depth_left),
+            self._undefined,
         )
-        if failed is not None:
-            failure = failed[1]
-            chunk = chunk.first(failed[0])
+        for check in checks:
+            if (rejection := check(chunk)) is not None:
+                chunk, failure = chunk.first(rejection.step), rejection.why
+        return chunk, failure
+
+    def _undefined(self, chunk: Chunk) -> Rejection | None:
+        """Return the first step at whose end a guard has no value."""
         lost = self.stops.first_undefined(chunk)
         if lost is None and self.control is not None:
             lost = self.control.first_undefined(chunk)
-        if lost is not None:
-            failure = NonFinite(
-                f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
-            )
-            chunk = chunk.first(lost[0])
-        return chunk, failure
+        if lost is None:
+            return None
+        why = f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
+        return Rejection(lost[0], NonFinite(why))
 
     def _instant(self, h: float, solved: Array, last: Chunk | None) -> StepEnd:
         """Return the end of the recorded steps, whose last ones are `last`."""
@@ -384,15 +365,15 @@ class SteppedRun:
 
     def _check_pace(self) -> None:
         """Raise `TooLong` if the trace of a run without stop conditions would be too large."""
+        if self.taken < _TIMED_STEPS or self.stepper.stops.names:
+            return
         steps = self.request.until / self.request.step
-        most = FAR_TOO_MANY * LARGEST
-        if self.taken >= _TIMED_STEPS and not self.stepper.stops.names:
-            needed = self.size / self.taken * steps
-            if needed > most:
-                raise TooLong(
-                    f"{steps:.3g} steps take {needed / 2**20:.3g} MB, and a trace may take "
-                    f"{LARGEST >> 20} MB; end the run earlier, or take longer steps"
-                )
+        needed = self.size / self.taken * steps
+        if needed > FAR_TOO_MANY * LARGEST:
+            raise TooLong(
+                f"{steps:.3g} steps take {needed / 2**20:.3g} MB, and a trace may take "
+                f"{LARGEST >> 20} MB; end the run earlier, or take longer steps"
+            )
 
     def _rejected(self, chunk: Chunk, start: float) -> Rejection | None:
         """Return the first rejected step."""
@@ -400,13 +381,12 @@ class SteppedRun:
         rejection = too_large(chunk, self._turning, regions, size, step)
         if rejection is None or not rejection.deep:
             return rejection
-        k = rejection.step
+        k, why, deep = rejection
         depth = self.system.depth_left(chunk.states[k], start + k * chunk.h)
-        return rejection._replace(why=squeezed(rejection.deep, depth, size) or rejection.why)
+        return Rejection(k, squeezed(deep, depth, size) or why, deep)
 
     def _stop(self, condition: int) -> None:
-        name = self.stepper.stops.names[condition]
-        self.time = self.recorder.clock.high
+        name, self.time = self.stepper.stops.names[condition], self.recorder.clock.high
         self.recorder.stop(name, self.state)
         self.end(Outcome.STOPPED, f"{name} at t = {self.time:.6g}")
 
@@ -528,8 +508,7 @@ class Stepper(ABC):
 
     def _reads_motion(self, name: str) -> bool:
         """Return whether a coordinate or rate decides the relation `enabled` of a region."""
-        one = self._scene.contacts.get(name) or self._scene.couplings.get(name)
-        gate = self._mechanics.gate(name) if one is not None and one.enabled else None
+        gate = self._mechanics.gate(name) if name in self._scene.frictional else None
         atoms = () if gate is None else gate.atoms
         read = set[sp.Basic]().union(*(a.margin.free_symbols for a in atoms if not a.is_end))
         return not read.isdisjoint(self._mechanics.variables)

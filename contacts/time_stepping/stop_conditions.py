@@ -126,23 +126,17 @@ class StopConditions:
         recorder.close()
         arc, before = recorder.arcs[-1], recorder.arcs[-2:-1]
         margin = partial(self._margin, condition, len(recorder.row))
-        begin = float(arc.times[-2])
-        met = len(arc.times) == 2 and margin(arc, begin) < 0.0
+        met = len(arc.times) == 2 and margin(arc, 0.0) < 0.0
         # An arc may also end where only the parameters change.
-        earlier = met and before and before[0].j < arc.j
-        earlier = bool(earlier and margin(before[0], before[0].duration) < 0.0)
-        if earlier:
-            [arc] = before
-            begin = float(arc.times[-2])
-        low, high = begin, arc.duration
+        earlier = met and bool(before) and before[0].j < arc.j
+        earlier = earlier and margin(before[0], before[0].duration) < 0.0
+        arc = before[0] if earlier else arc
+        low, high = float(arc.times[-2]), arc.duration
         if margin(arc, low) < 0.0:
             high = low
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
-            if margin(arc, middle) < 0.0:
-                high = middle
-            else:
-                low = middle
+            low, high = (low, middle) if margin(arc, middle) < 0.0 else (middle, high)
         return cut(arc, len(arc.times) - 2, high), earlier
 
     def _margin(self, condition: int, regions: int, arc: Arc, local: float) -> float:

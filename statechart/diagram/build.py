@@ -244,7 +244,9 @@ def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...],
             continue
         ends = path[-1], together[-1].target
         path.append(ends[1])
-        counts.setdefault(ends, Counter()).update({jump.cause for jump in together})
+        counts.setdefault(ends, Counter()).update(
+            dict.fromkeys([jump.cause for jump in together], 1)
+        )
         for jump in together:
             whose.setdefault((*ends, jump.cause), {})[jump.region] = None
     single = len(_changing_regions(automaton)) == 1

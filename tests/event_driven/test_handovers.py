@@ -296,3 +296,33 @@ stop: {{time: 0.5}}
 """
     result = Runner(interpret(read_text(text))).run()
     assert any("may fall through" in warning for warning in result.warnings) == falls
+
+
+def test_a_pin_leaves_the_open_end_of_a_slot_without_a_warning():
+    # A Geneva drive: the pin turns the wheel by a quarter, and leaves its slot tangentially.
+    text = """
+kind: scene
+name: geneva
+parameters: {w: 2, d: sqrt(2), q: -pi/4 - 0.5}
+bodies:
+  pin: {mass: 0.01, start: {x: d - cos(q), y: sin(q), dx: w*sin(q), dy: w*cos(q)}}
+  wheel: {mass: 1, inertia: 0.3, start: {angle: -pi/4}}
+joints:
+  drive: {point: {body: pin}, to: [d - cos(q + w*time), sin(q + w*time)]}
+  axle: {point: {body: wheel}, to: [0, 0]}
+surfaces:
+  up: {edge: [[0.2, 0], [1, 0]], body: wheel}
+  low: {edge: [[1, 0], [0.2, 0]], body: wheel}
+contacts:
+  a: {point: {body: pin}, surface: up, friction: 0, restitution: 0}
+  b: {point: {body: pin}, surface: low, friction: 0, restitution: 0}
+stop: {time: 1.6}
+outputs: {left: {value: time, at: last a.disable or b.disable}, fastest: {maximum: wheel.dangle}}
+"""
+    result = Runner(interpret(read_text(text))).run()
+    assert not any("may fall through" in warning for warning in result.warnings)
+    final = dict(zip(result.trace.variables, result.trace.final.tolist(), strict=True))
+    assert final["wheel.angle"] == pytest.approx(math.pi / 4, abs=1e-12)
+    assert final["wheel.dangle"] == pytest.approx(0.0, abs=1e-12)
+    assert result.outputs["left"] == pytest.approx(0.25 + math.pi / 4, abs=1e-12)
+    assert result.outputs["fastest"] == pytest.approx(2.0 / (math.sqrt(2) - 1.0), abs=1e-9)
