@@ -24,6 +24,7 @@ from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
 from contacts.solvers.contact_rows import (
     LAW,
     PAIR,
+    RESTING,
     ContactRows,
     gauss_seidel,
     impulse_residual,
@@ -353,7 +354,7 @@ def contacts_of(problem: Problem) -> ContactRows:
     contacts = ContactRows(
         problem.bodies, moving, problem.rows, problem.columns, np.empty((count, 3)), problem.cones,
         np.empty((count, LAW)), np.empty((3, 3 * moving + 3)), np.empty((7, count, 2)),
-        int(problem.bodies.shape[1] != PAIR), 0,
+        int(problem.bodies.shape[1] != PAIR), 0, np.array([RESTING * np.abs(problem.least).max()]),
     )  # fmt: skip
     with np.errstate(all="ignore"):
         write_diagonal_blocks(contacts)

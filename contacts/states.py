@@ -8,18 +8,14 @@ FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE, LOCKED, SLIP_PLUS, SLIP_MIN
     range(10)
 )
 
-
 OFF = "off"
 """The state of a contact whose conditions fail; no mode that a contact lists."""
-
 
 DISENGAGED = "open"
 """The state of a coupling whose conditions fail."""
 
-
 INACTIVE = (OFF, DISENGAGED)
 """States of contacts and couplings whose conditions fail."""
-
 
 STATES = {
     FREE: "free",
@@ -35,42 +31,32 @@ STATES = {
 }
 """Number of a mode of a region to its state."""
 
-
 CODES = {state: code for code, state in STATES.items()} | dict.fromkeys(INACTIVE, FREE)
 """State of a region to the number of its mode; without force if its conditions fail."""
-
 
 OPEN = ("free", *INACTIVE)
 """States without force."""
 
-
 STICKING = ("pin", "locked")
 """States of a contact, and of a coupling, that hold their slip at zero."""
-
 
 SLIDING = ("slide", "slide+", "slide-")
 """Slip without friction, along the tangent, and against it."""
 
-
 SLIPPING = ("slip+", "slip-")
 """States of a coupling that slips: its first body turns ahead of the other, or behind it."""
-
 
 RESTS = {PIN: (SLIDE_PLUS, SLIDE_MINUS), LOCKED: (SLIP_PLUS, SLIP_MINUS)}
 """Codes of states at rest, and of the slips that end in them."""
 
-
 SLIPS = (*RESTS[PIN], *RESTS[LOCKED])
 """Codes of slips with a direction."""
-
 
 CLOSED = "closed"
 """The superstate of those that touch the surface."""
 
-
 COUPLING_STATES = ("locked", *SLIPPING)
 """States of a coupling that is not open."""
-
 
 SUPERSTATES = {
     "slide+": "slide",

@@ -79,7 +79,8 @@ class Conditions:
         self._conditions = tuple(
             _Condition(place, atom, atom.margin.xreplace(controlled))
             for place, gate in enumerate(gates)
-            for atom in (() if gate is None else gate.atoms)
+            if gate is not None
+            for atom in gate.atoms
         )
         self.present = bool(self._conditions)
         # Index of the first contact of the same point, per contact.
@@ -217,10 +218,8 @@ class ConditionsAt:
         for i in range(len(sizes)):
             displaced = state.copy()
             displaced[i] += _DIFFERENCE * max(abs(state[i]), sizes[i])
-            shifted_margins = self._numbers(displaced)[
-                : PER_CONDITION * len(margins) : PER_CONDITION
-            ]
-            gradients[:, i] = (shifted_margins - margins) / (displaced[i] - state[i])
+            shifted = self._numbers(displaced)[::PER_CONDITION][: len(margins)]
+            gradients[:, i] = (shifted - margins) / (displaced[i] - state[i])
         steep = np.linalg.norm(gradients, axis=1)
         for k in places[steep[places] > 0.0].tolist():
             point = points[self._of._conditions[k].contact]
@@ -233,10 +232,8 @@ class ConditionsAt:
         """Return the verdicts if the zero atoms of `contacts` hold, except those that fired."""
         atoms = zip(self._of._conditions, verdicts, self._is_zero.tolist(), strict=True)
         return [
-            HOLDS
-            if condition.contact in contacts and condition.atom.name not in fired and zero
-            else verdict
-            for condition, verdict, zero in atoms
+            HOLDS if zero and one.contact in contacts and one.atom.name not in fired else verdict
+            for one, verdict, zero in atoms
         ]
 
     def failing(self) -> tuple[str, ...]:
@@ -258,13 +255,12 @@ class ConditionsAt:
         """
         verdicts = self._verdicts.tolist()
         unsure = [k for k, verdict in enumerate(verdicts) if verdict == UNSURE]
+        moves = motion is not None and self._setup.modes is not None
         at_rest = [self._judge_staying(k, fired, on) for k in unsure]
-        if motion is None or self._setup.modes is None or not unsure:
-            for k, verdict in zip(unsure, at_rest, strict=True):
-                verdicts[k] = verdict
+        for k, verdict in zip(unsure, at_rest, strict=True):
+            verdicts[k] = self._judge_staying(k, (), on) if moves else verdict
+        if motion is None or not moves or not unsure:
             return verdicts
-        for k in unsure:
-            verdicts[k] = self._judge_staying(k, (), on)
 
         def derivative_signs(verdicts: Sequence[int]) -> list[float] | None:
             roles = motion([name != "" for name in self._of.first(verdicts)])
@@ -304,11 +300,8 @@ class ConditionsAt:
         condition = self._of._conditions[k]
         if condition.atom.name in fired:
             return FAILS
-        if (
-            closed
-            and closed[condition.contact]
-            and condition.margin.free_symbols & self._of._places
-        ):
+        lasts = closed and closed[condition.contact]
+        if lasts and condition.margin.free_symbols & self._of._places:
             return HOLDS
         return HOLDS if condition.atom.closed or condition.atom.back in fired else FAILS
 
@@ -343,22 +336,18 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
         return snapshot
     jacobians, biases = snapshot.jacobians.copy(), snapshot.biases.copy()
     contacts, forces = [*snapshot.contacts], snapshot.forces
-    for i, state in enumerate(mode):
-        if state in INACTIVE:
-            if snapshot.pushes is not None and contacts[i].gap == 0.0:
-                forces = forces - snapshot.pushes[i]
-            jacobians[i] = biases[i] = 0.0
-            contacts[i] = PerContact._make((math.inf, *[0.0] * (EDGES - 1), None))
+    for i in (i for i, state in enumerate(mode) if state in INACTIVE):
+        if snapshot.pushes is not None and contacts[i].gap == 0.0:
+            forces = forces - snapshot.pushes[i]
+        jacobians[i] = biases[i] = 0.0
+        contacts[i] = PerContact._make((math.inf, *[0.0] * (EDGES - 1), None))
     reduction = snapshot.reduction
     if reduction is not None:
         reduction = replace(reduction, unreduced=hidden(reduction.unreduced, mode))
     return snapshot._replace(
-        contacts=tuple(contacts),
-        forces=forces,
-        jacobians=jacobians,
-        biases=biases,
+        contacts=tuple(contacts), forces=forces, jacobians=jacobians, biases=biases,
         reduction=reduction,
-    )
+    )  # fmt: skip
 
 
 def hidden_at(

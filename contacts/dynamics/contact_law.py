@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from contacts.scene.scene import Scene
 from statechart.arrays import Array, Ints
 
 if TYPE_CHECKING:
@@ -28,11 +29,24 @@ class ContactLaw(NamedTuple):
     coupling: bool = False  # Whether it is a coupling
     # Index of the contact whose normal force multiplies the limits of a coupling; -1: none
     carrier: int = -1
+    pair: int = -1  # Its number of `touching_pairs`
 
 
 def coupling_law(name: str, states: tuple[str, ...], carrier: int = -1) -> ContactLaw:
     """Return the law of a coupling, which only sticks or slips."""
     return ContactLaw(name, states, 0.0, 1.0, 0.0, "newton", True, carrier)
+
+
+def touching_pairs(scene: Scene) -> Ints:
+    """Return numbers (c,) of the pairs of bodies, or of a body and a surface, in contact."""
+    things: list[frozenset[str]] = []
+    for contact in scene.contacts.values():
+        carrier = scene.surfaces[contact.surface].body
+        ground = f"surface {contact.surface}" if carrier is None else f"body {carrier}"
+        things.append(frozenset({f"body {contact.point.body}", ground}))
+    things += [frozenset({f"coupling {name}"}) for name in scene.couplings]
+    numbers = {pair: k for k, pair in enumerate(dict.fromkeys(things))}
+    return np.array([numbers[pair] for pair in things], dtype=np.int64)
 
 
 def cones(laws: Sequence[ContactLaw], contacts: Sequence[PerContact]) -> Array:

@@ -7,7 +7,8 @@ simplified.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import chain
 from typing import NamedTuple
 
 import sympy as sp
@@ -148,7 +149,7 @@ class Mechanics(Geometry):
             *(rate for rate in self.controller_rates.values() if rate != 0),
         )
         self._contacts: dict[str, ContactSymbols] = {}
-        self._gates: dict[str, Gate | None] = {}
+        self.gate = cache(self._gate)
 
     @cached_property
     def held_forces(self) -> list[int]:
@@ -192,17 +193,16 @@ class Mechanics(Geometry):
     @cached_property
     def energy(self) -> sp.Expr:
         """Kinetic energy plus that of gravity."""
-        kinetic = [
+        terms = [
             entry * self.v[i] * self.v[k] / 2
             for i, row in enumerate(self.mass_matrix)
             for k, entry in row.items()
         ]
         gx, gy = self.gravity
-        potential = []
         for name, body in self.scene.bodies.items():
             (x, y), _ = self.body_frame(name)
-            potential.append(-self.formula(body.mass) * (gx * x + gy * y))
-        return sp.Add(*kinetic, *potential)
+            terms.append(-self.formula(body.mass) * (gx * x + gy * y))
+        return sp.Add(*terms)
 
     @cached_property
     def controller_rates(self) -> dict[str, sp.Expr]:
@@ -217,10 +217,7 @@ class Mechanics(Geometry):
     def placed(self) -> dict[str, sp.Expr]:
         """Positions and rates of bodies that are placed by formulas, by their names in formulas."""
         expressions: dict[str, sp.Expr] = {}
-        known = self.scene.placed_names
-        for name, body in self.scene.bodies.items():
-            if body.position is None:
-                continue
+        for name in (n for n, body in self.scene.bodies.items() if body.position is not None):
             (x, y), angle = self.body_frame(name)
             for component, place in (("x", x), ("y", y), ("angle", angle)):
                 remembered = (
@@ -230,7 +227,7 @@ class Mechanics(Geometry):
                 )
                 expressions[f"{name}.{component}"] = place
                 expressions[f"{name}.d{component}"] = sp.Add(self.rate(place), *remembered)
-        return {name: expression for name, expression in expressions.items() if name in known}
+        return {name: expressions[name] for name in expressions if name in self.scene.placed_names}
 
     @cached_property
     def gravity(self) -> Vector:
@@ -303,20 +300,10 @@ class Mechanics(Geometry):
         for name, joint in self.scene.joints.items():
             for component, gap, path in self._components(name, joint):
                 rate, jacobian, bias, _ = self._motion(gap)
-                rows.append(
-                    JointRow(
-                        name,
-                        component,
-                        sp.Symbol(f"{component}{len(rows)}", real=True),
-                        gap,
-                        rate,
-                        bias,
-                        jacobian,
-                        path,
-                        self.parameters.symbols[f"{name}.redundant_{component.lower()}"],
-                        self._closed.get(name),
-                    )
-                )
+                force = sp.Symbol(f"{component}{len(rows)}", real=True)
+                redundant = self.parameters.symbols[f"{name}.redundant_{component.lower()}"]
+                motion, closed = (gap, rate, bias, jacobian), self._closed.get(name)
+                rows.append(JointRow(name, component, force, *motion, path, redundant, closed))
         return tuple(rows)
 
     def _components(self, name: str, joint: Joint) -> Iterator[tuple[str, sp.Expr, sp.Expr]]:
@@ -342,7 +329,7 @@ class Mechanics(Geometry):
     @cached_property
     def unknown_forces(self) -> tuple[sp.Symbol, ...]:
         """Unknown forces of joints, contacts and couplings."""
-        of_contacts = (force for pair in self.forces.values() for force in pair)
+        of_contacts = chain.from_iterable(self.forces.values())
         return (*(row.force for row in self.joint_rows), *of_contacts, *self.couples.values())
 
     @property
@@ -353,17 +340,13 @@ class Mechanics(Geometry):
     @cached_property
     def power(self) -> sp.Expr:
         """Power of the applied forces, gravity excepted, and of joints and surfaces that move."""
-        applied = (force * self.v[i] for i, force in self.applied_forces.items())
-        pushed = (
-            force * rate
-            for name, forces in self.forces.items()
-            for force, rate in zip(forces, self.surface_rate(name), strict=True)
-        )
+        work = [(force, self.v[i]) for i, force in self.applied_forces.items()]
+        for name, forces in self.forces.items():
+            work += zip(forces, self.surface_rate(name), strict=True)
+        work += [(row.force, row.path_rate) for row in self.joint_rows]
         # The energy of compliant contacts is not part of `energy`.
-        soft = [self.contact(name) for name in self.pads]
-        pressed = (symbols.V * symbols.gap_rate for symbols in soft)
-        led = (row.force * row.path_rate for row in self.joint_rows)
-        return sp.Add(*applied, *pushed, *led, *pressed)
+        work += [(symbols.V, symbols.gap_rate) for symbols in map(self.contact, self.pads)]
+        return sp.Add(*(force * rate for force, rate in work))
 
     def hauled(self, name: str) -> tuple[Margin, ...]:
         """Return the margin that falls where a rope is hauled in to next to nothing.
@@ -399,10 +382,8 @@ class Mechanics(Geometry):
     def contact(self, name: str) -> ContactSymbols:
         """Return the quantities of a contact or a coupling; cached."""
         if name not in self._contacts:
-            contact = self.scene.contacts.get(name)
-            self._contacts[name] = (
-                self._coupling_symbols(name) if contact is None else self._symbols(name, contact)
-            )
+            build = self._symbols if name in self.scene.contacts else self._coupling_symbols
+            self._contacts[name] = build(name)
         return self._contacts[name]
 
     def sliding_edges(self, contact: ContactSymbols) -> tuple[sp.Expr, ...]:
@@ -410,11 +391,9 @@ class Mechanics(Geometry):
         law = self.scene.friction_of(contact.name)
         if law is None or not law.varies:
             return (*contact.friction.edges[1], *contact.friction.edges[-1])
-        edges: list[sp.Expr] = []
-        for direction in (1, -1):
-            mu = kinetic_friction(law, direction, self.known, sp.Abs(contact.slip))
-            edges += cone_edge(mu)
-        return tuple(edges)
+        speed = sp.Abs(contact.slip)
+        mus = (kinetic_friction(law, direction, self.known, speed) for direction in (1, -1))
+        return tuple(component for mu in mus for component in cone_edge(mu))
 
     def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
         """Return the bounds of a coupling's couple, at rest and in motion.
@@ -434,10 +413,9 @@ class Mechanics(Geometry):
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return the values of the `controls` that a state of a controller sets."""
         values: dict[sp.Symbol, sp.Expr] = {}
-        for name, setting in self._switched.items():
-            if setting == region:
-                for key, symbol in self._coefficients[name].items():
-                    values[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
+        for name in (name for name, setting in self._switched.items() if setting == region):
+            for key, symbol in self._coefficients[name].items():
+                values[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
             values[self.known[control]] = self.formula(text)
         flows = self._controls.flows(region, state)
@@ -482,12 +460,7 @@ class Mechanics(Geometry):
         result = {**self.known, **self.placed}
         for name in self.scene.contacts:
             symbols = self.contact(name)
-            result |= {
-                f"{name}.gap": symbols.gap,
-                f"{name}.slip": symbols.slip,
-                f"{name}.V": symbols.V,
-                f"{name}.H": symbols.H,
-            }
+            result |= {f"{name}.{key}": getattr(symbols, key) for key in ("gap", "slip", "V", "H")}
         for name, couple in self.couples.items():
             result |= {f"{name}.slip": self.contact(name).slip, f"{name}.M": couple}
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
@@ -518,27 +491,21 @@ class Mechanics(Geometry):
             for quantity in (("slip",) if name in scene.couplings else ("gap", "slip"))
         }
 
-    def gate(self, name: str) -> Gate | None:
+    def _gate(self, name: str) -> Gate | None:
         """Return the gate of a contact; None if it has no conditions and no ends of an edge."""
-        scene = self.scene
-        coupling = scene.couplings.get(name)
-        contact = coupling or scene.contacts[name]
-        if name not in self._gates:
-            ends: dict[str, sp.Expr] = {}
-            edge = None if coupling else scene.surface_of(name).edge
-            if edge is not None:
-                (x0, y0), (x1, y1) = self._corners(edge)
-                x, y = self.contact(name).point
-                length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
-                fraction = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
-                ends = {"begin of its edge": fraction, "end of its edge": length - fraction}
-            off = f"{name}.{DISENGAGED if coupling else OFF}"
-            self._gates[name] = (
-                gate_of(off, contact.enabled, self._relation_names, self._asked, ends)
-                if contact.enabled or ends
-                else None
-            )
-        return self._gates[name]
+        coupling = self.scene.couplings.get(name)
+        contact, ends = coupling or self.scene.contacts[name], dict[str, sp.Expr]()
+        edge = None if coupling else self.scene.surface_of(name).edge
+        if edge is not None:
+            (x0, y0), (x1, y1) = self._corners(edge)
+            x, y = self.contact(name).point
+            length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
+            fraction = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
+            ends = {"begin of its edge": fraction, "end of its edge": length - fraction}
+        if not (contact.enabled or ends):
+            return None
+        off = f"{name}.{DISENGAGED if coupling else OFF}"
+        return gate_of(off, contact.enabled, self._relation_names, self._asked, ends)
 
     def valleys(self, name: str, *, acute: bool = False) -> dict[str, sp.Expr]:
         """Return the convexity of corners between a contact's edge and edges of the same point.
@@ -546,13 +513,14 @@ class Mechanics(Geometry):
         Ends are named as in `gate`. A positive value is a valley: beyond the end the point is
         below the other edge; an `acute` valley has an angle below 90 degrees.
         """
-        contact, valleys = self.scene.contacts[name], {}
+        contact, valleys = self.scene.contacts[name], dict[str, sp.Expr]()
         surface = self.scene.surfaces[contact.surface]
+        if surface.edge is None:
+            return valleys
         for other in self.scene.contacts.values():
             neighbour = self.scene.surfaces[other.surface]
             if (
-                surface.edge is None
-                or neighbour.edge is None
+                neighbour.edge is None
                 or (other.point, other.radius) != (contact.point, contact.radius)
                 or replace_fields(neighbour, edge=surface.edge) != surface
             ):
@@ -640,14 +608,13 @@ class Mechanics(Geometry):
         A pad is an additional coordinate that the normal force of its contact balances against
         the spring: forces of compliant contacts are then unknowns as those of rigid ones.
         """
-        contacts = self.scene.contacts.items()
-        soft = (name for name, contact in contacts if contact.stiffness is not None)
+        soft = [name for name, one in self.scene.contacts.items() if one.stiffness is not None]
         return {name: k for k, name in enumerate(soft)}
 
     def _padded(self, name: str, normal: Row, tangential: Row) -> tuple[Row, Row]:
         """Return the rows of a contact on coordinates and pads."""
-        pad = self.pads.get(name)
-        return normal if pad is None else {len(self.q) + pad: sp.S.One}, tangential
+        padded = name in self.pads
+        return {len(self.q) + self.pads[name]: sp.S.One} if padded else normal, tangential
 
     @cached_property
     def _reactions(self) -> tuple[tuple[sp.Symbol, Row], ...]:
@@ -700,8 +667,8 @@ class Mechanics(Geometry):
             self._padded(name, jacobian, still), self._reactions, hold, hold,
         )  # fmt: skip
 
-    def _symbols(self, name: str, contact: Contact) -> ContactSymbols:
-        surface = self.scene.surfaces[contact.surface]
+    def _symbols(self, name: str) -> ContactSymbols:
+        contact, surface = self.scene.contacts[name], self.scene.surface_of(name)
         if isinstance(surface, Stop):
             return self._stop(name, contact, surface)
         x, y = centre = self._in_frame(surface, self.point(contact.point))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
 import sympy as sp
@@ -28,8 +29,6 @@ DRIFT = 0.05
 # as the flow lasts. At the smallest tolerance this is nine round-offs of the scene's speed, below
 # which projection is not effective.
 CREEP = 2e-3
-# Weights of an open contact's numbers.
-_FREE = (0.0,) * 5
 # Distance from a surface, relative to the scene's length, beyond which a step missed a curvature.
 # Enclosures as narrow as the gap's tolerance would take 1e5 boxes a step.
 BLIND_GAP = 1e-4
@@ -65,11 +64,9 @@ class Projection:
         self.tape = mechanics.tape(outputs, definitions=[*states.items()])
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.frictional) : 5])
         self._soft = tuple(name in mechanics.pads for name in mechanics.scene.frictional)
-        self._curved = tuple(
-            mechanics.curved(name) and not soft
-            for name, soft in zip(mechanics.scene.contacts, self._soft, strict=False)
-        )
-        self._within: dict[Key, Tape | None] = {}
+        contacts = mechanics.scene.contacts
+        self._curved = [mechanics.curved(n) and n not in mechanics.pads for n in contacts]
+        self.missed_surface_tape = cache(self._missed_surface_tape)
 
     def constraints(
         self, setup: SceneSetup, roles: Roles, start: float, anchor: Array
@@ -83,14 +80,12 @@ class Projection:
         values, tolerances, scales = setup.values, setup.tolerances, setup.scales
         gap_weight, speed_weight = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
         flow = constraint_key(roles, self._soft)
-        pinned = any(state in STICKING for state in flow)
+        pinned = [i for i, state in enumerate(flow) if state in STICKING]
         weights = self._weights(flow, gap_weight, speed_weight)
         targets = np.zeros(len(weights))
         if pinned:
-            pinned_at = self.tape.at(anchor, values, start)
-            for i, name in enumerate(flow):
-                if name in STICKING:
-                    targets[5 * i + 3 : 5 * i + 5] = pinned_at[5 * i + 3 : 5 * i + 5]
+            places = np.add.outer(5 * np.array(pinned), [3, 4])
+            targets[places] = self.tape.at(anchor, values, start)[places]
 
         def project(state: Array, time: float) -> Array:
             snapshot, joints = self._snapshots.unreduced(values, state, time)
@@ -108,11 +103,8 @@ class Projection:
                 residual = constraints.off(projected, values, time)
             if residual > 0.5 * before:
                 # The round-off of large angles and rates can exceed the tolerances.
-                if (
-                    residual
-                    <= _MAX_ROUNDINGS
-                    * (self._rounding(state, values, time) * (gap_weight, speed_weight)).max()
-                ):
+                rounding = self._rounding(state, values, time) * (gap_weight, speed_weight)
+                if residual <= _MAX_ROUNDINGS * rounding.max():
                     return state
                 if residual > 1.0:
                     rows = joints.jacobian[:, : snapshot.size] * scales.coordinates
@@ -133,54 +125,35 @@ class Projection:
 
     def _rounding(self, state: Array, values: Array, time: float) -> Array:
         """Return the effect of the last bits of the state on the joint rows (rows, 2)."""
-        rows = [self.tape.at(state, values, time)]
-        for i, number in enumerate(state):
-            displaced = state.copy()
-            displaced[i] += _SHIFT * number
-            rows.append(self.tape.at(displaced, values, time))
-        moves = np.abs(np.array(rows[1:]) - rows[0]).sum(axis=0)
+        displaced = state + _SHIFT * np.diag(state)
+        rows = np.array([self.tape.at(one, values, time) for one in (state, *displaced)])
+        moves = np.abs(rows[1:] - rows[0]).sum(axis=0)
         return (EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
 
-    def missed_surface_tape(self, flow: Key) -> Tape | None:
+    def _missed_surface_tape(self, flow: Key) -> Tape | None:
         """Return a tape of the gaps to curved surfaces, which detects bumps that a step missed."""
-        if flow not in self._within:
-            contacts = zip(self._gaps, flow, self._curved, strict=False)
-            gaps = [gap for gap, state, curved in contacts if curved and state not in OPEN]
-            tape = self._compile([*gaps, *(-gap for gap in gaps)]) if gaps else None
-            self._within[flow] = tape
-        return self._within[flow]
+        contacts = zip(self._gaps, flow, self._curved, strict=False)
+        gaps = [gap for gap, state, curved in contacts if curved and state not in OPEN]
+        return self._compile([*gaps, *(-gap for gap in gaps)]) if gaps else None
 
     def _weights(self, flow: Key, gap_weight: float, speed_weight: float) -> Array:
-        weights: list[float] = []
-        for name, soft in zip(flow, self._soft, strict=True):
-            if name in OPEN:
-                weights += _FREE
-            elif soft:
-                weights += (0.0, 0.0, speed_weight if name == "pin" else 0.0, 0.0, 0.0)
-            elif name in STICKING:
-                weights += (gap_weight, speed_weight, speed_weight, gap_weight, gap_weight)
-            else:
-                weights += (gap_weight, speed_weight, 0.0, 0.0, 0.0)
-        for closed in self._on:
-            weights += (gap_weight, speed_weight) if closed else (0.0, 0.0)
-        return np.array(weights)
+        # Of each contact: gap, its rate, slip, and position; of each joint row gap and rate.
+        parts = np.array([gap_weight, speed_weight, speed_weight, gap_weight, gap_weight])
+        states = np.array(flow, str)
+        shut, sticks = ~np.isin(states, OPEN), np.isin(states, STICKING)
+        weights = np.array([shut, shut, sticks, sticks, sticks]).T * parts
+        weights[np.array(self._soft, bool)] *= (0.0, 0.0, 1.0, 0.0, 0.0)
+        return np.append(weights, np.outer(self._on, parts[:2]))
 
     def _broken(
         self, rows: Array, redundant: Bools, gap_weight: float, speed_weight: float, time: float
     ) -> NoConsistentMode:
         k = int(np.argmax((rows * (gap_weight, speed_weight)).max(axis=1)))
         gap, rate = rows[k].tolist()
-        violation = (
-            f"comes apart by {gap:.3g}"
-            if gap * gap_weight >= rate * speed_weight
-            else f"parts at {rate:.3g}"
-        )
-        cause = ""
-        if redundant[k]:
-            cause = (
-                ", implied by the others at the start, not past a dead point; take the engine "
-                "impulse"
-            )
+        apart = gap * gap_weight >= rate * speed_weight
+        violation = f"comes apart by {gap:.3g}" if apart else f"parts at {rate:.3g}"
+        implied = ", implied by the others at the start, not past a dead point"
+        cause = f"{implied}; take the engine impulse" if redundant[k] else ""
         return NoConsistentMode(
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all hold at t = "
             f"{time:.6g}: {self._joints[k]!r} {violation}{cause}"
@@ -211,9 +184,8 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
             return on_constraints(key, snapshot, state)
     for contact, name in zip(snapshot.contacts, key, strict=True):
         violated = abs(contact.gap) > gap_tolerance or abs(contact.gap_rate) > speed_tolerance
-        if name not in OPEN and (
-            violated or (name in STICKING and abs(contact.slip) > speed_tolerance)
-        ):
+        violated = violated or (name in STICKING and abs(contact.slip) > speed_tolerance)
+        if violated and name not in OPEN:
             return on_constraints(key, snapshot, state)
     return state
 
@@ -232,12 +204,8 @@ def in_contact(key: Key, snapshot: Snapshot, state: Array, speed_tolerance: floa
     A projection with the position uses the normals at the old position, which differ from those at
     the new one on a curved surface.
     """
-    rates = [
-        contact.gap_rate
-        for contact, name in zip(snapshot.contacts, key, strict=True)
-        if name not in OPEN
-    ]
-    if not any(abs(rate) > speed_tolerance for rate in rates):
+    contacts = zip(snapshot.contacts, key, strict=True)
+    if not any(abs(c.gap_rate) > speed_tolerance for c, name in contacts if name not in OPEN):
         return state
     half = snapshot.size
     return np.append(state[:half], on_constraints(key, snapshot, state)[half:])
@@ -266,12 +234,8 @@ def _brought(
             rows.append(snapshot.jacobians[i, 0])
             residuals.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
         if name in STICKING:
-            displaced = 0.0
-            if pinned is not None:
-                before = pinned.contacts[i]
-                displaced = contact.tx * (contact.x - before.x) + contact.ty * (
-                    contact.y - before.y
-                )
+            before = contact if pinned is None else pinned.contacts[i]
+            displaced = contact.tx * (contact.x - before.x) + contact.ty * (contact.y - before.y)
             rows.append(snapshot.jacobians[i, 1])
             residuals.append((-displaced, -contact.slip))
     if not rows:

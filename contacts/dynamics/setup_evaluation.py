@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from sympy.utilities.iterables import connected_components
 
 from contacts.dynamics.conditions import Conditions, undecided_couplings
-from contacts.dynamics.contact_law import ContactLaw, coupling_law
+from contacts.dynamics.contact_law import ContactLaw, coupling_law, touching_pairs
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, measure
@@ -76,6 +77,7 @@ class SceneNumbers:
         self.far = FAR if bouncing < 2 else FAR_IN_TURN
         self.conditions = Conditions(mechanics)
         self._coefficients: dict[tuple[str, ...], tuple[Ints, Array]] = {}
+        self._pairs = touching_pairs(self.scene)[: len(self.scene.contacts)].tolist()
         self._region_states = {
             name: states_of(contact, gate=scene.gate(name))
             for name, contact in scene.contacts.items()
@@ -87,9 +89,7 @@ class SceneNumbers:
         self._single = {stop.name for stop in stops if stop.condition.single}
         forces = mechanics.unknown_forces
         # Margins that have no value before forces are known.
-        self.of_forces = {
-            margin.name for margin in margins if margin.expression.free_symbols.intersection(forces)
-        }
+        self.of_forces = {m.name for m in margins if m.expression.free_symbols & {*forces}}
         self.stop_tape = mechanics.tape(
             [margin.expression for margin in margins],
             definitions=[*mechanics.controlled(), *((force, sp.S.Zero) for force in forces)],
@@ -175,19 +175,16 @@ class SceneNumbers:
         tolerances = np.empty(len(KINDS))
         write_tolerances(gap, speed, scales.numbers, tolerances)
         contacts = self.contacts(values)
-        if not stepped:
-            shares = self._shares.at(initial, values, 0.0).tolist()
-            pairs = zip(self._unloaded, shares, strict=True)
-            if light := {name: share for name, share in pairs if 0.0 < share < _MIN_SHARE}:
-                allowed = np.array([gap * scales.length, speed * scales.speed])
-                starts = self._approaches.at(initial, values, 0.0).reshape(-1, 2)
-                rests: Bools = np.all(np.abs(starts) <= allowed, axis=1)
-                laws = zip(self.scene.contacts.values(), contacts, rests.tolist(), strict=False)
-                # A body that only rebounds has no lasting contact force.
-                lasting = {
-                    c.point.body for c, law, at_rest in laws if at_rest or law.restitution != 1
-                }
-                warnings += tuple(_light(light, lasting))
+        shares = zip(self._unloaded, self._shares.at(initial, values, 0.0).tolist(), strict=True)
+        light = {name: share for name, share in shares if 0.0 < share < _MIN_SHARE}
+        if light and not stepped:
+            allowed = np.array([gap * scales.length, speed * scales.speed])
+            starts = self._approaches.at(initial, values, 0.0).reshape(-1, 2)
+            rests: Bools = np.all(np.abs(starts) <= allowed, axis=1)
+            laws = zip(self.scene.contacts.values(), contacts, rests.tolist(), strict=False)
+            # A body that only rebounds has no lasting contact force.
+            lasting = {c.point.body for c, law, at_rest in laws if at_rest or law.restitution != 1}
+            warnings += (*_light(light, lasting),)
         return SceneSetup(
             values=values,
             initial=initial,
@@ -223,14 +220,13 @@ class SceneNumbers:
 
     def _point_masses(self, values: Array, levers: Array) -> tuple[Array, tuple[str, ...]]:
         """Set negligible moments of inertia to zero, with a warning for each."""
-        warnings = []
+        warnings, values = list[str](), values.copy()
         for (name, place), lever in zip(self.inertias, levers.tolist(), strict=True):
             if place is not None and 0.0 < values[place] < POINT_MASS * lever:
                 warnings.append(
                     f"body {name!r} is run as a point mass: its inertia, {values[place]:g}, is "
                     f"below {POINT_MASS:g} of its mass times arm squared"
                 )
-                values = values.copy()
                 values[place] = 0.0
         return values, tuple(warnings)
 
@@ -249,35 +245,24 @@ class SceneNumbers:
             return values, ()
         values = values.copy()
         values[self._redundant] = redundant
-        names = [
-            n
-            for n, is_redundant in zip(self._joint_names, redundant.tolist(), strict=True)
-            if is_redundant
-        ]
-        return values, (implied_joints(names),)
+        return values, (implied_joints(compress(self._joint_names, redundant)),)
 
     def contacts(
         self, values: Array, states: Mapping[str, str] | None = None
     ) -> tuple[ContactLaw, ...]:
         """Return the contacts' laws."""
-        names = [*self.scene.contacts]
         places, fixed = self.coefficients(states)
         coefficients = np.where(places >= 0, values[places], fixed).tolist()
-        contacts = zip(self.scene.contacts.items(), coefficients, strict=True)
-        carriers = (
-            names.index(coupling.contact) if isinstance(coupling, Rolling) else -1
-            for coupling in self.scene.couplings.values()
-        )
-        return (
-            *(
-                ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
-                for (name, contact), (n, t, e) in contacts
-            ),
-            *(
-                coupling_law(name, self._region_states[name], carrier)
-                for name, carrier in zip(self.scene.couplings, carriers, strict=True)
-            ),
-        )
+        contacts = [*self.scene.contacts]
+        declared = zip(self.scene.contacts.items(), coefficients, self._pairs, strict=True)
+        laws = [
+            ContactLaw(name, self._region_states[name], n, t, e, one.impact, pair=pair)
+            for (name, one), (n, t, e), pair in declared
+        ]
+        for name, one in self.scene.couplings.items():
+            carrier = contacts.index(one.contact) if isinstance(one, Rolling) else -1
+            laws.append(coupling_law(name, self._region_states[name], carrier))
+        return tuple(laws)
 
     def coefficients(self, states: Mapping[str, str] | None = None) -> tuple[Ints, Array]:
         """Return the indices (c, 3) of cone_n, cone_t and restitution among the values of a run.
@@ -326,15 +311,15 @@ def _unloaded_bodies(scene: Scene) -> list[str]:
     return [name for name in free if name in touching and name not in carrying]
 
 
-def _light(shares: Mapping[str, float], lasting: Collection[str]) -> Iterator[str]:
-    """Yield a warning for each `lasting` body whose events the tolerance of forces delays."""
-    for name, share in shares.items():
-        if name in lasting:
-            yield (
-                f"contacts of body {name!r} change their modes late, by up to "
-                f"{FORCE_BAND / share:.1g} of its weight, beside the heavy bodies of the scene; "
-                "put it into another scene, or take engine: impulse"
-            )
+def _light(shares: Mapping[str, float], lasting: Collection[str]) -> list[str]:
+    """Return a warning for each `lasting` body whose events the tolerance of forces delays."""
+    return [
+        f"contacts of body {name!r} change their modes late, by up to {FORCE_BAND / share:.1g} of "
+        "its weight, beside the heavy bodies of the scene; put it into another scene, or take "
+        "engine: impulse"
+        for name, share in shares.items()
+        if name in lasting
+    ]
 
 
 def _unpressed(mechanics: Mechanics) -> Iterator[str]:
@@ -342,12 +327,8 @@ def _unpressed(mechanics: Mechanics) -> Iterator[str]:
 
     Their normal forces are undetermined: runs with events use the smallest, steps use zero.
     """
-    names = [
-        name
-        for name, contact in mechanics.scene.contacts.items()
-        if not contact.frictionless and not mechanics.contact(name).jacobian_n
-    ]
-    if names:
+    rough = (name for name, one in mechanics.scene.contacts.items() if not one.frictionless)
+    if names := [name for name in rough if not mechanics.contact(name).jacobian_n]:
         yield (
             f"no coordinate moves {', '.join(names)} along the normal of its surface, so that "
             "normal force and friction are undetermined; let the body move that way, too"

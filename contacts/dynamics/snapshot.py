@@ -88,10 +88,14 @@ class Snapshot(NamedTuple):
         return len(self.unreduced.forces) - self.pads
 
     @property
+    def rates(self) -> Array:
+        """Gaps, gap rates and slips (c, 3) of the contacts."""
+        return np.array([contact[:3] for contact in self.contacts]).reshape(-1, 3)
+
+    @property
     def soft(self) -> list[bool]:
         """Marks of the compliant contacts."""
-        whole = self.unreduced
-        on_pads = whole.jacobians[:, 0, self.size :]
+        on_pads = self.unreduced.jacobians[:, 0, self.size :]
         return [bool(row.any()) for row in on_pads]
 
     def approaching(self, closed: Sequence[bool], speed: float) -> list[int]:
@@ -195,11 +199,7 @@ class SnapshotTape:
             mechanics.dense(row.jacobian for row in rows),
             pads,
             [limit for name in mechanics.scene.couplings for limit in mechanics.limits(name)],
-            [
-                number
-                for sign in self.signs
-                for number in (sign.slip, sign.bias, sign.limit, *mechanics.dense([sign.row]))
-            ],
+            [n for s in self.signs for n in (s.slip, s.bias, s.limit, *mechanics.dense([s.row]))],
         ]
         ends = accumulate(map(len, quantities), initial=0)
         self._slices = [slice(begin, end) for begin, end in pairwise(ends)]
@@ -273,8 +273,7 @@ class SnapshotTape:
         # A closing contact does not pull: its gap is zero up to round-off.
         pressed = np.where(rates < 0.0, np.maximum(forces, 0.0), forces)
         pushes, acting = np.zeros((self.count, n + pads)), np.zeros(self.count)
-        mass = np.pad(whole.mass, (0, pads))
-        mass[range(n, n + pads), range(n, n + pads)] = masses
+        mass = np.pad(whole.mass, (0, pads)) + np.diag(np.append(np.zeros(n), masses))
         jacobians = np.pad(whole.jacobians, ((0, 0), (0, 0), (0, pads)))
         biases, contacts = whole.biases.copy(), [*whole.contacts]
         for i, pad in self._pads:
@@ -285,15 +284,10 @@ class SnapshotTape:
             jacobians[i, 0, n + pad] = 1.0
             contacts[i] = contacts[i]._replace(gap=max(contacts[i].gap, 0.0), gap_rate=0.0)
         return whole._replace(
-            mass=mass,
-            forces=np.concatenate([whole.forces, -pressed]) + acting @ pushes,
-            velocity=np.concatenate([whole.velocity, np.zeros(pads)]),
-            contacts=tuple(contacts),
-            jacobians=jacobians,
-            biases=biases,
-            pads=pads,
-            pushes=pushes,
-        )
+            mass=mass, jacobians=jacobians, biases=biases, contacts=tuple(contacts), pads=pads,
+            forces=np.append(whole.forces, -pressed) + acting @ pushes, pushes=pushes,
+            velocity=np.append(whole.velocity, np.zeros(pads)),
+        )  # fmt: skip
 
 
 def close_compliant(snapshot: Snapshot, closed: Sequence[bool]) -> Snapshot:
@@ -301,7 +295,7 @@ def close_compliant(snapshot: Snapshot, closed: Sequence[bool]) -> Snapshot:
     if snapshot.pushes is None:
         return snapshot
     contacts, forces, reduction = [*snapshot.contacts], snapshot.forces, snapshot.reduction
-    for i, contact in enumerate(contacts):
+    for i, contact in enumerate(snapshot.contacts):
         if closed[i] and contact.gap > 0.0 and snapshot.pushes[i].any():
             forces, contacts[i] = forces + snapshot.pushes[i], contact._replace(gap=0.0)
     if reduction is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -112,23 +113,18 @@ def check_start(
     `motion` has its gap, gap rate and slip.
     """
     gap, gap_rate, slip = motion
-    if gap < -allowed_penetration and isinstance(surface, Reach | Stop):
-        rope = isinstance(surface, Reach)
-        joint = law.name if rope else law.name.rpartition("_")[0]
-        raise DeclarationProblem(
-            f"rope {joint!r} is {-gap:.6g} shorter than the distance of its ends at the start"
-            if rope
-            else f"joint {joint!r} starts beyond a limit of its angle",
-            advice=f"change the start, or {'the length' if rope else 'the limits'}",
-            loc=("joints", joint),
-        )
     if gap < -allowed_penetration:
+        loc: tuple[str, str] = ("contacts", law.name)
         gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
-        raise DeclarationProblem(
-            f"contact {law.name!r} starts inside its surface, {-gap:.6g} deep",
-            advice=f"move the body out of the surface{gated}{_solid(surface)}",
-            loc=("contacts", law.name),
-        )
+        problem = f"contact {law.name!r} starts inside its surface, {-gap:.6g} deep"
+        advice = f"move the body out of the surface{gated}{_solid(surface)}"
+        if isinstance(surface, Reach):
+            loc, advice = ("joints", law.name), "change the start, or the length"
+            problem = f"rope {law.name!r} is {-gap:.6g} shorter than the distance of its ends"
+        elif isinstance(surface, Stop):
+            loc, advice = ("joints", law.name.rpartition("_")[0]), "change the start, or the limits"
+            problem = f"joint {loc[1]!r} starts beyond a limit of its angle"
+        raise DeclarationProblem(problem, advice=advice, loc=loc)
     if "free" in law.states:
         return
     slips = abs(slip) > 2.0 * speed_tolerance and gap_rate >= -speed_tolerance
@@ -184,13 +180,10 @@ def check_joints(
     Raises `DeclarationProblem` if a joint is open, or its bodies move apart, or joints contradict
     one another.
     """
-    if not mechanics.joint_rows:
-        return
     try:
         _check_joints(mechanics, snapshots, setup, allowed)
     except DeclarationProblem as problem:
-        declared = mechanics.parameters.names
-        values = dict(zip(declared, setup.values.tolist(), strict=True))
+        values = dict(zip(mechanics.parameters.names, setup.values.tolist(), strict=True))
         raise start_problem(mechanics.scene, problem, values) from None
 
 
@@ -199,17 +192,14 @@ def _check_joints(
 ) -> None:
     scales, tolerances = setup.scales, setup.tolerances
     names = [row.joint for row in mechanics.joint_rows]
-    joints = _joints_at(snapshots, setup, setup.initial)
-    if not joints.on.any():
+    joints = _joints_at(snapshots, setup, setup.initial) if names else None
+    if joints is None or not joints.on.any():
         return
-    names = [name for name, on in zip(names, joints.on.tolist(), strict=True) if on]
-    joints = joints.closed()
-    distances = _distances(names, joints.gaps)
-    worst = max(distances, key=lambda name: distances[name])
-    if distances[worst] > max(allowed * scales.length, tolerances["gap"]):
+    names, joints = [*compress(names, joints.on)], joints.closed()
+    worst, distance = _farthest(names, joints.gaps)
+    if distance > max(allowed * scales.length, tolerances["gap"]):
         raise DeclarationProblem(
-            f"joint {worst!r} is open at the start: {_ends(mechanics, worst)} "
-            f"{distances[worst]:.6g} apart",
+            f"joint {worst!r} is open at the start: {_ends(mechanics, worst)} {distance:.6g} apart",
             advice=_nearest(mechanics, snapshots, setup),
             loc=("joints", worst),
         )
@@ -217,15 +207,14 @@ def _check_joints(
     speed_tolerance = max(allowed * scales.speed, tolerances["speed"])
     if np.abs(residual).max() > speed_tolerance:
         raise _contradiction(names, residual, "velocity")
-    speeds = _distances(names, joints.rates)
-    worst = max(speeds, key=lambda name: speeds[name])
-    if speeds[worst] > speed_tolerance:
+    worst, speed = _farthest(names, joints.rates)
+    if speed > speed_tolerance:
         size = len(change)
         rates = setup.initial[size : 2 * size] + change
         rate_names = [mechanics.scene.rate_name(name) for name in mechanics.names]
         raise DeclarationProblem(
             f"joint {worst!r} does not hold at the start: {_ends(mechanics, worst)} moving apart "
-            f"at {speeds[worst]:.6g}",
+            f"at {speed:.6g}",
             advice="velocities that it allows: " + _format_values(rate_names, rates, change),
             loc=("joints", worst),
         )
@@ -292,11 +281,12 @@ def _fewer_components(mechanics: Mechanics, joint: str) -> str:
     return advice
 
 
-def _distances(names: Sequence[str], gaps: Array) -> dict[str, float]:
+def _farthest(names: Sequence[str], gaps: Array) -> tuple[str, float]:
+    """Return the joint whose components have the largest distance, and that."""
     result = dict.fromkeys(names, 0.0)
     for name, gap in zip(names, gaps.tolist(), strict=True):
-        result[name] = float(np.hypot(result[name], gap))
-    return result
+        result[name] = math.hypot(result[name], gap)
+    return max(result.items(), key=lambda item: item[1])
 
 
 def _ends(mechanics: Mechanics, name: str) -> str:
@@ -307,16 +297,11 @@ def _ends(mechanics: Mechanics, name: str) -> str:
 
 
 def _contradiction(names: Sequence[str], residual: Array, quantity: str) -> DeclarationProblem:
-    largest = float(np.abs(residual).max())
-    concerned = [
-        n for n, r in zip(names, residual.tolist(), strict=True) if abs(r) > _MIN_SHARE * largest
-    ]
-    concerned = list(dict.fromkeys(concerned))
-    subject = (
-        f"the joints {', '.join(map(repr, concerned))} contradict one another"
-        if len(concerned) > 1
-        else f"joint {concerned[0]!r} contradicts itself"
-    )
+    large = np.abs(residual) > _MIN_SHARE * np.abs(residual).max()
+    concerned = list(dict.fromkeys(compress(names, large)))
+    subject = f"joint {concerned[0]!r} contradicts itself"
+    if len(concerned) > 1:
+        subject = f"the joints {', '.join(map(repr, concerned))} contradict one another"
     return DeclarationProblem(
         f"{subject}: no {quantity} of the bodies satisfies them",
         advice="compare the paths that they follow, or remove one",
@@ -336,16 +321,13 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
     size, state, closest = snapshots.size, setup.initial.copy(), np.inf
     for _ in range(_MAX_ITERATIONS):
         joints = _joints_at(snapshots, setup, state).closed()
-        gaps = joints.gaps
-        if not np.isfinite(gaps).all():
+        if not np.isfinite(joints.gaps).all():
             break
-        closest = min(closest, float(np.abs(gaps).max()))
+        closest = min(closest, float(np.abs(joints.gaps).max()))
         if closest <= setup.tolerances["gap"]:
-            shift = state[:size] - setup.initial[:size]
-            return "a position that closes all: " + _format_values(
-                mechanics.names, state[:size], shift
-            )
-        state[:size] += least_squares(joints.jacobian, -gaps)[0]
+            place, shift = state[:size], (state - setup.initial)[:size]
+            return "a position that closes all: " + _format_values(mechanics.names, place, shift)
+        state[:size] += least_squares(joints.jacobian, -joints.gaps)[0]
     return (
         f"no position near the start closes all joints (least distance found: {closest:.6g}); "
         "compare lengths and places"
@@ -354,9 +336,7 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
 
 def _format_values(names: Sequence[str], values: Array, changes: Array) -> str:
     """Return the values that changed, the largest changes first, with digits that fit."""
-    order = np.argsort(-np.abs(changes))
-    changed = [
-        k for k in order[:_MAX_NAMED] if abs(changes[k]) > _MIN_SHARE * np.abs(changes).max()
-    ]
+    sizes = np.abs(changes)
+    changed = [k for k in np.argsort(-sizes)[:_MAX_NAMED] if sizes[k] > _MIN_SHARE * sizes.max()]
     ellipsis = ", ..." if len(changed) == _MAX_NAMED < len(names) else ""
     return ", ".join(f"{names[k]} = {values[k]:.15g}" for k in changed) + ellipsis

@@ -103,7 +103,6 @@ def modes_after_change(
                     f"the new values of parameters let the {what} that joint {joint!r} holds "
                     "jump; let a variable of a controller flow there"
                 )
-    numbers = (np.array([c[:3] for c in one.contacts]).reshape(-1, 3) for one in (old, new))
     failed, fails = (
         np.array([*map(bool, conditions.at(s, *at).failing())], np.bool_)
         for s in (replace(setup, values=before), setup)
@@ -111,7 +110,7 @@ def modes_after_change(
     ends = fails & ~failed
     compared = tuple(np.where(ends, OFF, mode).tolist())
     after, separates, strikes = modes_after_jump(
-        scene, setup.contacts, setup.tolerances, compared, *numbers
+        scene, setup.contacts, setup.tolerances, compared, old.rates, new.rates
     )
     return tuple(np.where(ends, mode, after).tolist()), separates | ends, strikes
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import compress
 
 import numpy as np
 
@@ -49,16 +51,14 @@ def close_immediately(
     state = jump.after
     snapshot = hidden(at(state), flow.mode)
     took = [one and mode not in INACTIVE for one, mode in zip(took_part, flow.mode, strict=True)]
-    rates = [c.gap_rate for c, one in zip(snapshot.contacts, took, strict=True) if one]
+    rates = [contact.gap_rate for contact in compress(snapshot.contacts, took)]
     if not rates:
         return None
     height, gap_tolerance = max(rates) * period / 4.0, setup.tolerances["gap"]
     before = moving_mode(flow.roles)
     closing = [one or mode not in OPEN for one, mode in zip(took, before, strict=True)]
-    key = tuple(
-        "slide" if closes and mode in OPEN else mode
-        for mode, closes in zip(before, closing, strict=True)
-    )
+    modes = zip(before, closing, strict=True)
+    key = tuple("slide" if closes and mode in OPEN else mode for mode, closes in modes)
     warnings = []
     if min(rates) < -setup.tolerances["speed"]:
         early = remaining > 0.0 and height > gap_tolerance
@@ -77,17 +77,13 @@ def close_immediately(
         state = snapshot.moved(state, settled_velocity)
     state = on_constraints(key, at(state), state)
     snapshot = hidden(at(state), flow.mode)
-    slides = any(
-        abs(c.slip) > setup.slip_tolerance
-        for c, closes in zip(snapshot.contacts, strike_jammed(setup.contacts, closing), strict=True)
-        if closes
-    )
-    lowest = (
-        _MAX_HEIGHT_AT_REST if not slides else _MAX_HEIGHT if settled_velocity is not None else 0.0
-    )
+    struck = compress(snapshot.contacts, strike_jammed(setup.contacts, closing))
+    slides = any(abs(contact.slip) > setup.slip_tolerance for contact in struck)
+    undetermined = slides and settled_velocity is None
+    lowest = 0.0 if undetermined else _MAX_HEIGHT if slides else _MAX_HEIGHT_AT_REST
     if remaining > 0.0 and height > max(lowest * setup.scales.length, gap_tolerance):
         return None
-    if settled_velocity is None and slides:
+    if undetermined:
         warnings.append(
             "the friction impulse of the summed bounces is undetermined and set to zero"
         )
@@ -108,11 +104,9 @@ def close_immediately(
 def _moves_tangentially(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:
     """Return whether projecting the gaps of `key` to zero would move a contact tangentially."""
     displacement = (on_constraints(key, snapshot, state) - state)[: snapshot.size]
-    return any(
-        abs(float(tangent @ displacement)) > setup.tolerances["gap"]
-        for tangent, mode in zip(snapshot.unreduced.jacobians[:, 1], key, strict=True)
-        if mode not in OPEN
-    )
+    closed = [mode not in OPEN for mode in key]
+    moves = np.abs(snapshot.unreduced.jacobians[closed, 1] @ displacement)
+    return bool((moves > setup.tolerances["gap"]).any())
 
 
 def _velocity_after_impacts(
@@ -125,14 +119,11 @@ def _velocity_after_impacts(
     Returns None if the sums are not unique, if a slip would reverse, or if friction multiplies the
     velocity change: a contact then stops sliding before the end.
     """
-    rows: list[Array] = []
-    columns: list[Array] = []
+    rows, columns, slides = list[Array](), list[Array](), list[tuple[float, Array]]()
     rates: list[float] = []
-    slides: list[tuple[float, Array]] = []
-    for law, contact, (normal, tangent), closes in zip(
-        setup.contacts, snapshot.contacts, snapshot.jacobians, closing, strict=True
-    ):
-        if not closes or law.coupling:
+    contacts = zip(setup.contacts, snapshot.contacts, snapshot.jacobians, strict=True)
+    for law, contact, (normal, tangent) in compress(contacts, closing):
+        if law.coupling:
             continue
         rows.append(normal)
         rates.append(-contact.gap_rate)
@@ -144,25 +135,16 @@ def _velocity_after_impacts(
             rows.append(tangent)
             rates.append(-contact.slip)
             columns += [normal, tangent]
-    change = _change(snapshot, rows, columns, rates)
-    frictionless = _change(snapshot, rows, rows, rates)
-    if change is None or frictionless is None:
-        return None
-    sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, frictionless)]
-    reversed_slip = any(
-        (slip + tangent @ change) * np.sign(slip) < -setup.slip_tolerance
-        for slip, tangent in slides
-    )
-    if reversed_slip or sizes[0] > _MAX_MAGNIFICATION * sizes[1]:
-        return None
-    return snapshot.velocity + change
-
-
-def _change(
-    snapshot: Snapshot, rows: Sequence[Array], columns: Sequence[Array], rates: Sequence[float]
-) -> Array | None:
     try:
-        solved = answer(snapshot, np.array(rows), np.array(columns), np.array(rates))
+        solve = partial(answer, snapshot, np.array(rows), rates=np.array(rates))
+        solved, smooth = solve(np.array(columns)), solve(np.array(rows))
     except SingularMode:
         return None
-    return None if solved is None else solved[0]
+    if solved is None or smooth is None:
+        return None
+    change, frictionless = solved[0], smooth[0]
+    sizes = [math.sqrt(float(dv @ snapshot.mass @ dv)) for dv in (change, frictionless)]
+    backs = [(slip + tangent @ change) * np.sign(slip) for slip, tangent in slides]
+    if min(backs, default=0.0) < -setup.slip_tolerance or sizes[0] > _MAX_MAGNIFICATION * sizes[1]:
+        return None
+    return snapshot.velocity + change

@@ -105,32 +105,22 @@ class CompiledSceneLaws:
         region, cause = self.about(event)
         impulse: Mapping[str, tuple[float, float]] = {}
         path: tuple[str, ...] = ()
-        if event.struck >= 0:
-            if event.group == 0:
-                path = (" ".join([region, *segment_names(event.path)]),)
-                if event.normal != 0.0 or event.tangential != 0.0:
-                    impulse = {region: (event.normal, event.tangential)}
-            else:
-                path = (f"plastic {', '.join(self._modes(event))}",)
-                impulse = LazyMapping(partial(self._explain, "impulse", setup, event, fired))
+        explained = partial(self._explain, setup, event, fired)
+        if event.struck >= 0 and event.group == 0:
+            path = (" ".join([region, *segment_names(event.path)]),)
+            if event.normal != 0.0 or event.tangential != 0.0:
+                impulse = {region: (event.normal, event.tangential)}
+        elif event.struck >= 0:
+            path = (f"plastic {', '.join(self._modes(event))}",)
+            impulse = LazyMapping(partial(explained, "impulse"))
         return Jump(
-            event.t,
-            event.j,
-            region,
-            cause,
-            event.source,
-            event.target,
-            event.before,
-            event.after,
-            (fired,) if fired else (),
-            impulse,
-            path,
-            LazyMapping(partial(self._explain, "considered", setup, event, fired)),
+            event.t, event.j, region, cause, event.source, event.target, event.before, event.after,
+            (fired,) if fired else (), impulse, path, LazyMapping(partial(explained, "considered")),
             (event.energy_before, event.energy_after),
-        )
+        )  # fmt: skip
 
     def _explain(
-        self, field: str, setup: Callable[[], SceneSetup], event: RecordedEvent, fired: str
+        self, setup: Callable[[], SceneSetup], event: RecordedEvent, fired: str, field: str
     ) -> Mapping[str, Any]:
         """Return `impulse` or `considered` of a jump, computed by the laws in Python on demand."""
         numbers = setup()
@@ -138,8 +128,8 @@ class CompiledSceneLaws:
         at = SceneInstant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
         result = self._ask(at)
         assert result is not None
-        assert result[0] is not None
-        return {"impulse": result[0].impulse, "considered": result[0].considered}[field]
+        mapping: Mapping[str, Any] = getattr(result[0], field)
+        return mapping
 
     def _modes(self, event: RecordedEvent) -> Iterator[str]:
         """Yield the modes of the contacts of a group in a plastic impact."""

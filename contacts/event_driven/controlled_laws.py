@@ -36,6 +36,7 @@ from statechart.charts.guard_watch import (
     restart_periods,
     transition_outcomes,
 )
+from statechart.documents.fields import FormulaText
 
 
 class ControlledLaws:
@@ -57,13 +58,10 @@ class ControlledLaws:
             mechanics.state, mechanics.parameters.ordered, mechanics.time
         )
         scene = mechanics.scene
-        self._varying = any(
-            scene.controlled.region_of(text) is not None
-            for name, contact in scene.contacts.items()
-            for law in (scene.friction_of(name),)
-            for text in (law and law.both, contact.restitution)
-        )
-        self._leads = bool(mechanics.scene.leading)
+        texts: list[FormulaText | None] = [one.restitution for one in scene.contacts.values()]
+        texts += [law.both for law in map(scene.friction_of, scene.contacts) if law is not None]
+        self._varying = any(scene.controlled.region_of(text) is not None for text in texts)
+        self._leads = bool(scene.leading)
         self._considered = {
             r.name: transition_outcomes(r) for r in regions if r.name in self._controllers
         }
@@ -124,22 +122,15 @@ class ControlledLaws:
         if self._leads:
             setup_after = self._within(setup, states)
             after_update = self._at(states).snapshot(setup_after, after, clock.high)
-            rates = (
-                np.array([contact[:3] for contact in update.contacts]).reshape(-1, 3)
-                for update in (before_update, after_update)
-            )
             contacts, _, _ = modes_after_jump(
-                self._mechanics.scene, inner.contacts, inner.tolerances, contacts, *rates
-            )
+                self._mechanics.scene, inner.contacts, inner.tolerances, contacts,
+                before_update.rates, after_update.rates,
+            )  # fmt: skip
         jump = at.jump(
-            name,
-            edge.name,
-            (*contacts, *states),
-            after,
+            name, edge.name, (*contacts, *states), after,
             path=() if edge.guard is not None else (edge.trigger,),
-            considered=self._considered[name](edge),
-            energy=(before_update.energy,) * 2,
-        )
+            considered=self._considered[name](edge), energy=(before_update.energy,) * 2,
+        )  # fmt: skip
         flow = flow._replace(pending=self._queues.pending_after(firing.pending, jump))
         following = flow_after_move(self._parted(flow), contacts)
         if edge.guard is not None:
@@ -235,13 +226,11 @@ class ControlledLaws:
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
         rows = guarded.atoms_at(setup, clock.high, state)
         watched = tolerances < np.inf
+        far = (rows[watched, 0] > tolerances[watched]).all()
         # The first flow in a mode watches all atoms of a guard, and is evaluated in any case.
+        known = guarded.watch.single or not watched.all()
         # A margin that jumps as its mode starts (an angle at the origin) has its value behind.
-        if (
-            (rows[watched, 0] > tolerances[watched]).all()
-            and (guarded.watch.single or not watched.all())
-            and not {*fired}.intersection(guarded.watch.margins)
-        ):
+        if far and known and not {*fired}.intersection(guarded.watch.margins):
             return None, rows
         inputs, sizes = guarded.inputs(state, self._solved(at)), guarded.sizes(setup)
         active = active_in(self._regions, flow.mode)
@@ -270,22 +259,16 @@ class ControlledLaws:
         accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
         captured = np.array([role.captured for role in flow.roles[: self._count]])
         forces = np.where(captured[:, None], 0.0, solved.forces)
-        contact_count = len(self._mechanics.forces)
-        couples = forces[contact_count:, 1]
-        return np.concatenate([accelerations, forces[:contact_count].ravel(), couples, joints])
+        contacts, couples = np.split(forces, [len(self._mechanics.forces)])
+        return np.concatenate([accelerations, contacts.ravel(), couples[:, 1], joints])
 
     def _parted(self, flow: Flow) -> Flow:
         return flow._replace(mode=flow.mode[: self._count], roles=flow.roles[: self._count])
 
     def _joined(
-        self,
-        setup: SceneSetup,
-        clock: Clock,
-        flow: Flow,
-        states: Key,
-        state: Array,
+        self, setup: SceneSetup, clock: Clock, flow: Flow, states: Key, state: Array,
         source: Flow | None = None,
-    ) -> Flow:
+    ) -> Flow:  # fmt: skip
         """Return the unsettled flow of contacts and controllers; `source` is the last flow."""
         guarded = self._states.guards(states)
         # Only the sizes of a guard's terms are needed: forces of typical size suffice.

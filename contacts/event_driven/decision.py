@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 
@@ -46,26 +46,20 @@ def choose_mode(
         jam = resolve_jam(setup, snapshot, touching)
         if setup.paradox == "impact" and jam is not None:
             return replace(jam, considered=error.considered)
-        paradoxes_met = paradoxes(setup, snapshot, touching)
-        reports = "".join(f"; {paradox_met}" for paradox_met in paradoxes_met.values())
-        slides = [
-            t and abs(c.slip) > setup.slip_tolerance
-            for t, c in zip(touching, snapshot.contacts, strict=True)
-        ]
-        may_open = all(
-            "free" in law.states or not t for law, t in zip(setup.contacts, touching, strict=True)
-        )
-        if sum(touching) > 1 and any(slides) and may_open and setup.paradox == "impact":
-            reports += "; where friction jams several contacts at once, take the engine impulse"
-        raise NoConsistentMode(f"{error}{reports}", considered=error.considered) from None
+        reports = [str(error), *map(str, paradoxes(setup, snapshot, touching).values())]
+        shut = [*compress(zip(setup.contacts, snapshot.contacts, strict=True), touching)]
+        slides = any(abs(contact.slip) > setup.slip_tolerance for _, contact in shut)
+        may_open = all("free" in law.states for law, _ in shut)
+        if len(shut) > 1 and slides and may_open and setup.paradox == "impact":
+            reports.append("where friction jams several contacts at once, take the engine impulse")
+        raise NoConsistentMode("; ".join(reports), considered=error.considered) from None
     if np.abs(choice.taken.forces).max(initial=0.0) > ENDLESS * setup.scales.force:
         jam = resolve_jam(setup, snapshot, touching)
         if setup.paradox == "impact" and jam is not None:
             return replace(jam, considered=choice.considered)
     if choice.warning:
-        paradoxes_met = paradoxes(setup, snapshot, touching)
-        warning = "; ".join([choice.warning, *map(str, paradoxes_met.values())])
-        choice = choice._replace(warning=warning)
+        reports = [choice.warning, *map(str, paradoxes(setup, snapshot, touching).values())]
+        choice = choice._replace(warning="; ".join(reports))
     return choice
 
 
@@ -104,9 +98,8 @@ def _level_feet(
             independent.append(i)
             continue
         # The body moves along with this speed.
-        if off <= USER_DIGITS or abs(weights @ slips[independent] - slips[i]) > (
-            off * setup.slip_tolerance
-        ):
+        along = abs(weights @ slips[independent] - slips[i])
+        if off <= USER_DIGITS or along > off * setup.slip_tolerance:
             resting = []
         jacobians[i, 1], biases[i, 1] = row, bias
     if len(independent) == len(sticking):
@@ -241,13 +234,13 @@ def explain_choice(
     """
     considered = {label: f"before the impact {why}" for label, why in before.items()}
     for law, contact, struck, remains in zip(laws, contacts, closed, touching, strict=True):
-        if struck and not remains:
-            leaving = f"it leaves its surface at {contact.gap_rate:.3g}"
-            for state in law.states:
-                if state not in INACTIVE:
-                    label = f"{law.name}:{state}"
-                    reason = f"taken: {leaving}" if state == "free" else leaving
-                    considered[label] = "; ".join(filter(None, (reason, considered.get(label))))
+        leaving = f"it leaves its surface at {contact.gap_rate:.3g}"
+        for state in law.states if struck and not remains else ():
+            if state in INACTIVE:
+                continue
+            reason = f"taken: {leaving}" if state == "free" else leaving
+            known = considered.get(label := f"{law.name}:{state}")
+            considered[label] = f"{reason}; {known}" if known else reason
     return {**considered, **after}
 
 
@@ -263,27 +256,21 @@ def check_declared(
     for name, declared in modes.items():
         place = names.index(name)
         required = choice.taken.states[place]
-        if declared not in {required, *superstates_of((required,)).values()}:
-            why = next(
-                (
-                    text
-                    for label, text in choice.considered.items()
-                    if {f"{name}:{declared}{direction}" for direction in ("", "+", "-")}
-                    & {*label.split()}
-                ),
-                f"its point slips at {snapshot.contacts[place].slip:.3g}"
-                if touching[place]
-                else "its gap is open or opening",
-            )
-            if required == OFF:
-                why = f"the condition {failing[place]} fails"
-            elif declared == OFF:
-                why = "its conditions hold, and it is not inside its surface"
-            raise DeclarationProblem(
-                f"contact {name!r} cannot start in mode {declared!r}: {why}",
-                advice=f"the initial state calls for {required!r}",
-                loc=("modes", name),
-            )
+        if declared in {required, *superstates_of((required,)).values()}:
+            continue
+        labels = {f"{name}:{declared}{direction}" for direction in ("", "+", "-")}
+        reasons = [why for label, why in choice.considered.items() if labels & {*label.split()}]
+        slips = f"its point slips at {snapshot.contacts[place].slip:.3g}"
+        why = [*reasons, slips if touching[place] else "its gap is open or opening"][0]
+        if required == OFF:
+            why = f"the condition {failing[place]} fails"
+        elif declared == OFF:
+            why = "its conditions hold, and it is not inside its surface"
+        raise DeclarationProblem(
+            f"contact {name!r} cannot start in mode {declared!r}: {why}",
+            advice=f"the initial state calls for {required!r}",
+            loc=("modes", name),
+        )
 
 
 def cause(names: Sequence[str], source: Key, target: Key, skipping: bool) -> tuple[str, str]:

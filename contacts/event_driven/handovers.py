@@ -51,35 +51,30 @@ class Handovers:
         missed_ends = self._past_ends(setup, arcs, tables, gap_tolerance)
         shallow = NEARLY_MEETING * setup.scales.length
         missed: dict[str, float] = {}
-        for place, (contact, name) in enumerate(self._gated.items()):
-            # Depths of the point from when the conditions began to hold.
-            depths: list[float] = []
-
-            def end(name: str = name, depths: list[float] = depths) -> None:
-                if depths and depths[0] < depths[-1] and depths[0] <= shallow:
-                    missed.setdefault(name, depths[0])
-                depths.clear()
-
-            for k, arc in enumerate(arcs) if inside else ():
+        for place, (contact, name) in enumerate(self._gated.items()) if inside else ():
+            # Depth of the point as the conditions began to hold, and now.
+            first = now = 0.0
+            for k, arc in enumerate(arcs):
                 if arc.mode[contact] != OFF:
-                    depths.clear()
+                    first = now = 0.0
                     continue
                 margins, gaps = tables[k][:, 2 * place], tables[k][:, 2 * place + 1]
-                if not depths and not (~(margins < 0.0) & (gaps < -gap_tolerance)).any():
+                if not first and not (~(margins < 0.0) & (gaps < -gap_tolerance)).any():
                     continue
                 for sample, (margin, gap) in enumerate(zip(margins, gaps, strict=True)):
                     if margin < 0.0:
-                        end()
-                    elif depths:
-                        depths.append(-gap)
-                    else:
-                        first = self._at_crossing(setup, arc, place, sample) if sample else gap
-                        if -first > gap_tolerance:
-                            depths += (-first, -gap)
-            end()
-        stays_off = (
-            stays_off_warning(self._mechanics.scene, name, d) for name, d in missed.items()
-        )
+                        if 0.0 < first < now and first <= shallow:
+                            missed.setdefault(name, first)
+                        first = now = 0.0
+                        continue
+                    now = -gap
+                    if not first:
+                        entered = self._at_crossing(setup, arc, place, sample) if sample else gap
+                        first = -entered if -entered > gap_tolerance else 0.0
+            if 0.0 < first < now and first <= shallow:
+                missed.setdefault(name, first)
+        scene = self._mechanics.scene
+        stays_off = (stays_off_warning(scene, name, depth) for name, depth in missed.items())
         return (*early, *missed_ends, *stays_off)
 
     def _past_ends(
@@ -97,11 +92,8 @@ class Handovers:
                 contact, name = gated[place]
                 same = (i for i, point in enumerate(points) if point == points[contact])
                 # Another contact of the point that is closed takes its place.
-                if (
-                    name in warned
-                    or arc.mode[contact] != OFF
-                    or any(arc.mode[i] not in OPEN for i in same)
-                ):
+                replaced = any(arc.mode[i] not in OPEN for i in same)
+                if replaced or name in warned or arc.mode[contact] != OFF:
                     continue
                 sample = int(through[:, place].argmax()) + 1
                 around = table[sample - 1 : sample + 1, 2 * place]
@@ -144,12 +136,10 @@ class Handovers:
             steps = np.concatenate([arc.coefficients for arc in group])
             sampled = np.swapaxes(steps @ _SAMPLE_POINTS ** np.arange(terms)[:, None], 1, 2)
             times = np.concatenate([arc.start.high + _samples(arc) for arc in group])
-            rows = self._tape(states).table(
-                sampled.reshape(-1, steps.shape[1]), setup.values, times
-            )
-            inside = inside or bool(
-                (~(rows[:, ::2] < 0.0) & (rows[:, 1::2] < -gap_tolerance)).any()
-            )
+            sampled = sampled.reshape(-1, steps.shape[1])
+            rows = self._tape(states).table(sampled, setup.values, times)
+            holds, below = ~(rows[:, ::2] < 0.0), rows[:, 1::2] < -gap_tolerance
+            inside = inside or bool((holds & below).any())
             ends = np.cumsum([len(_SAMPLE_POINTS) * len(arc.coefficients) for arc in group])
             tables |= zip(places, np.split(rows, ends[:-1]), strict=True)
         return tables, inside

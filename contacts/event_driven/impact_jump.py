@@ -61,17 +61,12 @@ def uncertainty_at(
     if not at.fired and at.flow.terms is None and not at.flow.near_bound:
         return None
     around = hidden_at(tape, at.setup.values, at.clock.high, at.flow.mode)
-    certain_modes = tuple(["free"] * len(names)) if at.flow.near_bound else landing.moving
-    off_margins = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
-    kinematic = tuple(f"{name}.{kind}" for name in names for kind in _KINEMATIC_MARGINS)
-    uncertain = [
-        i
-        for i, name in enumerate(names)
-        if any(
-            f.startswith(f"{name}.") and f not in kinematic and not f.startswith(off_margins)
-            for f in at.fired
-        )
-    ]
+    certain_modes = ("free",) * len(names) if at.flow.near_bound else landing.moving
+    # Margins of contacts that are off are `NAME.off: RELATION`.
+    off = tuple(f"{state}:" for state in INACTIVE)
+    fired = [margin.partition(".") for margin in at.fired]
+    forces = {n for n, _, x in fired if x not in _KINEMATIC_MARGINS and not x.startswith(off)}
+    uncertain = [i for i, name in enumerate(names) if name in forces]
     state = at.state if after is None else after
     return ForceUncertainty(around, at.setup, state, certain_modes, uncertain)
 
@@ -112,12 +107,10 @@ def flow_in(
 
 def mark_captured_roles(mode: Key, roles: Roles) -> Roles:
     """Mark contacts as captured that move as closed and are shown as free (skipped bounces)."""
-    return tuple(
-        [
-            role._replace(captured=True) if shown in OPEN and role.state not in OPEN else role
-            for shown, role in zip(mode, roles, strict=True)
-        ]
-    )
+    return tuple([
+        role._replace(captured=True) if shown in OPEN and role.state not in OPEN else role
+        for shown, role in zip(mode, roles, strict=True)
+    ])  # fmt: skip
 
 
 def impact_jump(
@@ -144,10 +137,10 @@ def impact_jump(
     joint_impulse = tape.joint_impulse(
         landing.snapshot, at.state if before is None else before, after, impulses
     )
+    considered_before = {} if jam is None else jam.considered
+    considered_after = moved_by.considered if isinstance(moved_by, Choice) else {}
     jump = at.jump(
-        *event,
-        target,
-        after,
+        *event, target, after,
         impulse={
             law.name: (normal, tangential)
             for law, (normal, tangential) in zip(laws, impulses.tolist(), strict=True)
@@ -155,22 +148,15 @@ def impact_jump(
         },
         joint_impulse=joint_impulse | couples(laws, impulses),
         path=struck.result.path,
-        considered=LazyMapping(
-            partial(
-                explain_choice,
-                {} if jam is None else jam.considered,
-                laws,
-                contacts,
-                closed,
-                touching,
-                moved_by.considered if isinstance(moved_by, Choice) else {},
-            )
-        ),
+        considered=LazyMapping(partial(
+            explain_choice, considered_before, laws, contacts, closed, touching, considered_after
+        )),
         energy=(landing.snapshot.energy, energy),
         skipped=bounce_time or 0.0,
-    )
+    )  # fmt: skip
     warning = "; ".join(filter(None, ("" if jam is None else str(jam), struck.result.warning)))
     flow = flow_in(setup, target, moved_by, bounce_time, warning, settled)
+    flow = flow._replace(notes=(*flow.notes, *struck.result.notes))
     # After a long flight the round-off of a gap can exceed its tolerance: it opens from there.
     penetrating = {
         f"{law.name}.gap": -2.0 * contact.gap
@@ -188,12 +174,9 @@ def _solve_struck(tape: SnapshotTape, landing: Landing, jam: Jam | None) -> _Str
     snapshot_at = hidden_at(tape, setup.values, clock.high, flow.mode)
 
     def apply(
-        laws: Sequence[ContactLaw],
-        snapshot: Snapshot,
-        state: Array,
-        result: Impacts,
+        laws: Sequence[ContactLaw], snapshot: Snapshot, state: Array, result: Impacts,
         later: float = 0.0,
-    ) -> _Struck:
+    ) -> _Struck:  # fmt: skip
         velocity, impulses = apply_rolling_resistance(
             snapshot, laws, result.velocity, result.impulses, setup.slip_tolerance
         )
@@ -248,9 +231,8 @@ def _choose_entered(
     before = Before.flow(landing.at.flow.roles)
     choice = choose_mode(setup, following, touching, before, uncertainty)
     moving = moving_mode(choice.roles)
-    state = landed(
-        constraint_key(choice.roles, following.soft), following, struck.state, setup.tolerances
-    )
+    key = constraint_key(choice.roles, following.soft)
+    state = landed(key, following, struck.state, setup.tolerances)
     # A contact whose bounces are skipped moves as closed and is shown as free.
     target = tuple(
         "free" if not struck.bounce_times.keys().isdisjoint((i, law.carrier)) else name

@@ -156,10 +156,7 @@ class SceneLaws:
             check_start(scene.surface_of(name), law, contact[:3], depth, near, slow)
         check_limits(self._names[self._count :], snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]
-        touching = [
-            shut and abs(c.gap_rate) <= slow
-            for shut, c in zip(closed, snapshot.contacts, strict=True)
-        ]
+        touching = [c.gap <= near and abs(c.gap_rate) <= slow for c in snapshot.contacts]
         key = tuple(
             ("slip+" if law.coupling else "slide") if shut else "free"
             for law, shut in zip(setup.contacts, touching, strict=True)
@@ -186,11 +183,10 @@ class SceneLaws:
     def _start_warnings(self, setup: SceneSetup, state: Array, mode: Key) -> str:
         """Return warnings about hovering contacts, and about couplings with tiny limits."""
         snapshot = self.tape.at(setup.values, state, 0.0)
-        contacts = snapshot.contacts
         on = [i for i, name in enumerate(mode[: self._count]) if name != OFF]
         hovering = hovering_warnings(
             self._mechanics.scene, setup.scales, setup.tolerances["gap"],
-            [self._names[i] for i in on], [contacts[i][:2] for i in on],
+            [self._names[i] for i in on], [snapshot.contacts[i][:2] for i in on],
         )  # fmt: skip
         weak = weak_coupling_warnings(setup.contacts, snapshot.limits, setup.tolerances["force"])
         return "; ".join([*hovering, *weak])
@@ -243,14 +239,11 @@ class SceneLaws:
         known = setup.values if at.flow.values is None else at.flow.values
         count = self._count
         before, moving = moving_mode(at.flow.roles)[:count], moving_mode(flow.roles)[:count]
-        began = [
-            now == "free" and (name in jump.impulse or was != "free")
-            for name, was, now in zip(self._names[:count], before, moving, strict=True)
-        ]
-        flying = [state == "free" for state in moving]
+        modes = zip(self._names[:count], before, moving, strict=True)
+        began = [now == "free" and (n in jump.impulse or was != "free") for n, was, now in modes]
         if not (any(began) or known[offsets].any()):
             return result
-        new_offsets = np.where(flying, known[offsets], 0.0)
+        new_offsets = np.where([state == "free" for state in moving], known[offsets], 0.0)
         if any(began):
             contacts = self.tape.at(setup.values, jump.after, at.clock.high).contacts
             gaps = np.array([contact.gap for contact in contacts[:count]])
@@ -421,18 +414,14 @@ class SceneLaws:
             if np.array_equal(state, at.state):
                 return None
             return None, flow._replace(settled=True, start=state)
-        held = constraint_key(choice.taken.roles, snapshot.soft)
+        held, energy = constraint_key(choice.taken.roles, snapshot.soft), snapshot.energy
         after = landed(held, snapshot, state, setup.tolerances)
-        snapshot_after = (
-            snapshot if after is state else self.tape.at(setup.values, after, clock.high)
-        )
+        if after is not state:
+            energy = self.tape.at(setup.values, after, clock.high).energy
         jump = at.jump(
-            *cause(self._names, flow.mode, target, skipping),
-            target,
-            after,
-            considered=choice.considered,
-            energy=(snapshot.energy, snapshot_after.energy),
-        )
+            *cause(self._names, flow.mode, target, skipping), target, after,
+            considered=choice.considered, energy=(snapshot.energy, energy),
+        )  # fmt: skip
         return jump, flow_in(setup, target, choice)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
@@ -450,17 +439,12 @@ class SceneLaws:
         if flow.sizes is None:
             return moving
         # Round-off of the rates of coordinates; rates of pads of compliant contacts come after.
-        n, whole = snapshot.size, snapshot.unreduced
-        rounding = EPS * flow.sizes[n : 2 * n]
-        return tuple(
-            ("locked" if state in SLIPPING else "pin")
-            if f"{name}.slip" in fired
-            and still < abs(contact.slip) <= float(np.abs(tangent[:n]) @ rounding)
-            else state
-            for name, state, contact, tangent in zip(
-                self._names, moving, whole.contacts, whole.jacobians[:, 1], strict=True
-            )
-        )
+        n, whole, rested = snapshot.size, snapshot.unreduced, [*moving]
+        rounding = np.abs(whole.jacobians[:, 1, :n]) @ (EPS * flow.sizes[n : 2 * n])
+        for i, name in enumerate(self._names):
+            if f"{name}.slip" in fired and still < abs(whole.contacts[i].slip) <= rounding[i]:
+                rested[i] = "locked" if moving[i] in SLIPPING else "pin"
+        return tuple(rested)
 
     def accumulate(
         self, setup: SceneSetup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
@@ -501,10 +485,7 @@ class SceneLaws:
         )
         if in_corner:
             mode = tuple("free" if i in in_corner else now for i, now in enumerate(flow.mode))
-            free = roles_in(mode)
-            roles = tuple(free[i] if i in in_corner else now for i, now in enumerate(flow.roles))
-            jump = dataclasses.replace(jump, target=mode)
-            flow = flow._replace(mode=mode, roles=roles)
+            jump, flow = dataclasses.replace(jump, target=mode), flow_after_move(flow, mode)
         return jump, flow, in_corner
 
     def _closed_at_once(
@@ -534,18 +515,13 @@ class SceneLaws:
         event = self._names[hitting[0]], "touchdown" if jam is None else "jam"
         jump, flow, following = impact_jump(self.tape, here, event, jam)
         setup, closed, (before, after) = here.at.setup, here.closed, jump.energy or (0.0, 0.0)
-        striking = [
-            shut and not law.coupling for shut, law in zip(closed, setup.contacts, strict=True)
-        ]
-        idle = jam is None and sum(striking) > 1 and after >= before
+        clock, done = here.at.clock, None
+        idle = jam is None and sum(strike_jammed(setup.contacts, closed)) > 1 and after >= before
         if idle and reopens_immediately(setup, following, closed):
-            at = here.at
-            done = self._closed_at_once(setup, at.clock, flow, jump, closed, 0.0, jump.skipped)
-            if done is not None:
-                return done
-        if jam is None and self.conditions.present and not jump.skipped:
-            return self._captured_in_corner(setup, here.at.clock, jump, flow) or (jump, flow)
-        return jump, flow
+            done = self._closed_at_once(setup, clock, flow, jump, closed, 0.0, jump.skipped)
+        if done is None and jam is None and self.conditions.present and not jump.skipped:
+            done = self._captured_in_corner(setup, clock, jump, flow)
+        return done or (jump, flow)
 
     def _captured_in_corner(
         self, setup: SceneSetup, clock: Clock, jump: Jump, flow: Flow
@@ -587,7 +563,7 @@ class Compliance:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None) -> None:
         names = [*mechanics.scene.contacts]
         self._places = [(name, names.index(name)) for name in mechanics.pads]
-        symbols = [mechanics.contact(name) for name in mechanics.pads]
+        symbols = map(mechanics.contact, mechanics.pads)
         numbers = [e for one in symbols for e in (one.gap, one.compliance)]
         self._tape = mechanics.tape(numbers, definitions=mechanics.controlled(states))
 
@@ -596,17 +572,15 @@ class Compliance:
     ) -> dict[str, float]:
         """Return margin -> tolerance in a flow from here; infinity: unwatched."""
         own: dict[str, float] = {}
+        near, press = setup.tolerances["gap"], setup.tolerances["force"]
         numbers = self._tape.at(state, setup.values, time).reshape(-1, 2)
         for (name, place), (gap, force) in zip(self._places, numbers.tolist(), strict=True):
-            if mode[place] not in OPEN:
+            if mode[place] in OPEN:
+                bands = (math.inf, press, UNDERFLOW) if gap < -near else (near, math.inf, math.inf)
+                margins = (f"{name}.{margin}" for margin in ("gap", PULL, OUTSIDE))
+                own |= dict(zip(margins, bands, strict=True))
+            elif gap >= 0.0 and force < 0.0:
                 # Round-off of a gap that has just closed, times a stiffness.
-                if gap >= 0.0 and force < 0.0:
-                    edge = max(setup.contacts[place].cone_n, np.finfo(float).tiny)
-                    band = setup.tolerances["force"] - 2.0 * force / edge
-                    own |= {f"{name}.{margin}": band for margin in FORCE_MARGINS}
-                continue
-            near, press = setup.tolerances["gap"], setup.tolerances["force"]
-            bands = (math.inf, press, UNDERFLOW) if gap < -near else (near, math.inf, math.inf)
-            margins = (f"{name}.{margin}" for margin in ("gap", PULL, OUTSIDE))
-            own |= dict(zip(margins, bands, strict=True))
+                edge = max(setup.contacts[place].cone_n, np.finfo(float).tiny)
+                own |= {f"{name}.{margin}": press - 2.0 * force / edge for margin in FORCE_MARGINS}
         return own

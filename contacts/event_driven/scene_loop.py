@@ -163,13 +163,8 @@ def _first_mode(
     states_at_rest, n = np.full(contacts, FREE), state.shape[0] // 2
     scalars = n * n + n + 1 + (2 * n + 2) * contacts
     if instants.nodes.shape[0] > 0:
-        values = conditions(program, watch, instants, state, 0.0)
-        if (
-            switch_contacts(
-                instants, values, numbers, scalars, 0, np.full(contacts, FREE), states_at_rest
-            )
-            == -2
-        ):
+        values, free = conditions(program, watch, instants, state, 0.0), states_at_rest.copy()
+        if switch_contacts(instants, values, numbers, scalars, 0, free, states_at_rest) == -2:
             return -1
     if not classify(instants, numbers, n, False, states_at_rest, 0.0, states):
         return -1
@@ -490,13 +485,9 @@ class SceneLoop:
         return self._call(self._scene, batch, block, result)
 
     def resume(
-        self,
-        setup: SceneSetup,
-        floor: float,
-        block: TraceBuffer,
-        result: BatchResult,
+        self, setup: SceneSetup, floor: float, block: TraceBuffer, result: BatchResult,
         series: Array,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Resume a run."""
         numbers, (watch, _) = self._scene.numbers, self._buffers
         numbers.values[:], numbers.sizes[:] = result.values[0], setup.sizes
@@ -526,36 +517,23 @@ _RESUMED = BatchInputs(
 
 def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
     """Return a mask (c, 10) of the state codes in which a contact may start."""
-    may_start = np.zeros((len(names), len(STATES)), np.bool_)
-    for place, name in enumerate(names):
-        declared_state = declared.get(name)
-        for code, state in STATES.items():
-            names_of_state = {state, *superstates_of((state,)).values()}
-            may_start[place, code] = declared_state is None or declared_state in names_of_state
-    return may_start
+    active = [(state, *superstates_of((state,)).values()) for state in STATES.values()]
+    may = [[n not in declared or declared[n] in states for states in active] for n in names]
+    return np.array(may, np.bool_).reshape(-1, len(STATES))
 
 
 def _declared(
-    numbers: SceneNumbers,
-    loop: Loop,
-    laws: Sequence[ContactLaw],
-    relative: float,
+    numbers: SceneNumbers, loop: Loop, laws: Sequence[ContactLaw], relative: float
 ) -> SceneConstants:
-    count = len(laws)
-    (gap, speed), rules = tolerated(relative), setup_rules(numbers)
-    stops = [*numbers.stops]
+    rules, stops = setup_rules(numbers), [*numbers.stops]
     return SceneConstants(
-        loop.tapes,
-        rules,
-        *numbers.coefficients(),
+        loop.tapes, rules, *numbers.coefficients(),
         np.array([stops.index(m) if m in stops else -1 for m in loop.margins], np.int64),
         _starts([law.name for law in laws], numbers.scene.initial_modes),
-        gap,
-        speed,
-        force_uncertainty(relative),
+        *tolerated(relative), force_uncertainty(relative),
         run_buffer(len(numbers.parameters.names), len(loop.workspace.state), rules),
-        np.empty((max(count, 4), WIDTH)),
-    )
+        np.empty((max(len(laws), 4), WIDTH)),
+    )  # fmt: skip
 
 
 def _buffers(
@@ -564,28 +542,14 @@ def _buffers(
     variables, parameters = len(loop.workspace.state), len(numbers.parameters.names)
     contacts, count = len(laws), int(loop.tapes[1, 5])
     watch = FlowInputs(
-        np.empty(parameters),
-        np.empty(len(KINDS)),
-        np.empty(len(loop.margins)),
-        np.empty(variables),
-        loop.tapes[1],
-        np.zeros(count),
-        np.zeros(count),
-        0.0,
-        *loop.pace[:3],
-    )
+        np.empty(parameters), np.empty(len(KINDS)), np.empty(len(loop.margins)),
+        np.empty(variables), loop.tapes[1], np.zeros(count), np.zeros(count), 0.0, *loop.pace[:3],
+    )  # fmt: skip
+    meanings = [-1 if law.impact == MOREAU else MEANINGS[law.impact] for law in laws]
     instants = InstantConstants(
-        loop.tapes[0],
-        loop.tapes[2],
-        numbers.conditions.nodes,
-        numbers.conditions.slots(loop.margins),
-        np.empty(variables + 1),
-        0.0,
-        allowed([law.states for law in laws]),
-        np.empty((contacts, 2)),
-        np.empty(contacts),
-        np.array([-1 if law.impact == MOREAU else MEANINGS[law.impact] for law in laws], np.int64),
-        numbers.gap_offsets,
-        *[0.0] * 10,
-    )
+        loop.tapes[0], loop.tapes[2], numbers.conditions.nodes,
+        numbers.conditions.slots(loop.margins), np.empty(variables + 1), 0.0,
+        allowed([law.states for law in laws]), np.empty((contacts, 2)), np.empty(contacts),
+        np.array(meanings, np.int64), numbers.gap_offsets, *[0.0] * 10,
+    )  # fmt: skip
     return watch, instants

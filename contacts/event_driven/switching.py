@@ -74,20 +74,13 @@ class Switching:
         slow = setup.tolerances["speed"]
 
         def motion(failing: Sequence[bool]) -> Roles | None:
-            off = tuple(
-                off_state(law)
-                if fails or (OFF in law.states and not contact.gap >= -close)
-                else "free"
-                for fails, law, contact, close in zip(
-                    failing, setup.contacts, snapshot.contacts, near, strict=True
-                )
-            )
-            shown = hidden(snapshot, off)
+            contacts = zip(failing, setup.contacts, snapshot.contacts, near, strict=True)
+            off = [why or (OFF in law.states and not c.gap >= -at) for why, law, c, at in contacts]
+            mode = (off_state(x) if y else "free" for x, y in zip(setup.contacts, off, strict=True))
+            shown = hidden(snapshot, tuple(mode))
             # A striking contact does not constrain the motion yet.
-            touching = [
-                c.gap <= close and abs(c.gap_rate) <= slow
-                for c, close in zip(shown.contacts, near, strict=True)
-            ]
+            gaps = zip(shown.contacts, near, strict=True)
+            touching = [c.gap <= close and abs(c.gap_rate) <= slow for c, close in gaps]
             try:
                 choice = choose_mode(setup, shown, touching, Before())
             except SimulationError:
@@ -113,13 +106,12 @@ class Switching:
             return certified
         contacts, points = site.snapshot.contacts, self._conditions.points
         slow, every = site.setup.tolerances["speed"], range(len(points))
-        corners: dict[int, list[int]] = {}
-        for i, point in enumerate(points):
-            if abs(contacts[i].gap) <= max(site.near[j] for j in every if points[j] == point):
-                corners.setdefault(point, []).append(i)
         would = self._conditions.first(site.conditions.with_boundary(verdicts, every, fired))
         on_boundary = [bool(why) and not then for why, then in zip(failing, would, strict=True)]
-        for places in corners.values():
+        for point in {*points}:
+            same = [i for i in every if points[i] == point]
+            near = max(site.near[i] for i in same)
+            places = [i for i in same if abs(contacts[i].gap) <= near]
             if len(places) < 2 or not all(failing[i] for i in places):
                 continue
             leaves = [i for i in places if on_boundary[i] and contacts[i].gap_rate <= slow]
@@ -139,18 +131,15 @@ class Switching:
         if any(failing) and site.conditions.on_boundary:
             failing = self._struck_too(at, site, failing, strike)
         result: dict[int, str] = {}
-        for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
+        for i, (why, active) in enumerate(zip(failing, on, strict=True)):
             gap = snapshot.contacts[i].gap
-            if why and now not in INACTIVE:
+            if not (why or active) and math.isnan(gap):
+                raise NonFinite(
+                    f"the conditions of contact {self._names[i]!r} hold where its surface "
+                    "has no finite value; add a condition that fails there"
+                )
+            if bool(why) == active and (active or gap >= -site.near[i]):
                 result[i] = why
-            elif not why and now in INACTIVE:
-                if math.isnan(gap):
-                    raise NonFinite(
-                        f"the conditions of contact {self._names[i]!r} hold where its surface "
-                        "has no finite value; add a condition that fails there"
-                    )
-                if gap >= -site.near[i]:
-                    result[i] = why
         return result
 
     def _struck_too(
@@ -163,31 +152,22 @@ class Switching:
         both take part.
         """
         setup, snapshot, _, near = site
-        slow = setup.tolerances["speed"]
-        mode = tuple(
-            off_state(law)
-            if why
-            else engaged_state(law, contact, setup.slip_tolerance)
-            if state in INACTIVE and contact.gap >= -close
-            else state
-            for why, state, contact, close, law in zip(
-                failing, at.flow.mode, snapshot.contacts, near, setup.contacts, strict=True
-            )
-        )
-        struck = strike(mode)
+        slow, mode, result = setup.tolerances["speed"], [*at.flow.mode], [*failing]
+        for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
+            if failing[i]:
+                mode[i] = off_state(law)
+            elif mode[i] in INACTIVE and contact.gap >= -near[i]:
+                mode[i] = engaged_state(law, contact, setup.slip_tolerance)
+        struck = strike(tuple(mode))
         if struck is None:
             return failing
         state, after = struck
         then = self.failing(setup, after, state, at.clock.high)
-        return tuple(
-            ""
-            if not later
-            and (state not in INACTIVE or (abs(contact.gap) <= close and contact.gap_rate < -slow))
-            else why
-            for why, later, state, contact, close in zip(
-                failing, then, at.flow.mode, after.contacts, near, strict=True
-            )
-        )
+        for i, contact in enumerate(after.contacts):
+            strikes = abs(contact.gap) <= near[i] and contact.gap_rate < -slow
+            if not then[i] and (strikes or at.flow.mode[i] not in INACTIVE):
+                result[i] = ""
+        return tuple(result)
 
     def corner_contacts(
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float, mode: Key
@@ -201,12 +181,9 @@ class Switching:
         _, _, here, near = self._site(setup, snapshot, state, time)
         points, every = self._conditions.points, range(len(self._conditions.points))
         fails = self._conditions.first(here.with_boundary(here.verdicts(), every, ()))
-        gaps = zip(snapshot.contacts, near, strict=True)
-        met = [abs(contact.gap) <= close for contact, close in gaps]
-        occupied = {points[i] for i in every if met[i] and mode[i] not in INACTIVE}
-        return [
-            i for i in every if mode[i] == OFF and met[i] and not fails[i] and points[i] in occupied
-        ]
+        met = [i for i in every if abs(snapshot.contacts[i].gap) <= near[i]]
+        occupied = {points[i] for i in met if mode[i] not in INACTIVE}
+        return [i for i in met if mode[i] == OFF and not fails[i] and points[i] in occupied]
 
     def jump(
         self, at: SceneInstant, snapshot: Snapshot, switched: Mapping[int, str]
@@ -216,23 +193,19 @@ class Switching:
         mode, roles = list(flow.mode), list(flow.roles)
         for place, why in switched.items():
             law, contact = setup.contacts[place], snapshot.contacts[place]
-            mode[place] = off_state(law)
-            if not why:
-                mode[place] = engaged_state(law, contact, setup.slip_tolerance)
+            engaged = engaged_state(law, contact, setup.slip_tolerance)
+            mode[place] = off_state(law) if why else engaged
             roles[place] = Role(mode[place])
         place, why = next(iter(switched.items()))
-        name = self._names[place]
-        coupling = setup.contacts[place].coupling
-        reason = "its conditions hold" + ("" if coupling else ", and its gap is open")
-        if why:
-            reason = f"does not hold: {why.removeprefix(f'{name}: ')}"
+        name, before, after = self._names[place], flow.mode[place], mode[place]
+        gap = "" if setup.contacts[place].coupling else ", and its gap is open"
+        fails = f"does not hold: {why.removeprefix(f'{name}: ')}"
+        reason = fails if why else f"its conditions hold{gap}"
         jump = at.jump(
-            name,
-            cause_of(flow.mode[place], mode[place]),
-            tuple(mode),
-            considered={f"{name}:{flow.mode[place]}": reason, f"{name}:{mode[place]}": "taken"},
+            name, cause_of(before, after), tuple(mode),
+            considered={f"{name}:{before}": reason, f"{name}:{after}": "taken"},
             energy=(snapshot.energy, snapshot.energy),
-        )
+        )  # fmt: skip
         warning = self._corner_warning(setup, snapshot, flow.mode, tuple(mode))
         # Without captured contacts, the skipped bounces belonged to one that is off now.
         captured = any(role.captured for role in roles)
@@ -244,13 +217,23 @@ class Switching:
     def _corner_warning(
         self, setup: SceneSetup, snapshot: Snapshot, before: Key, after: Key
     ) -> str:
-        """Return a warning if all contacts of a point go off in a corner."""
+        """Return a warning if all contacts of a point go off in a corner that it does not leave."""
         points, corner_size = self._conditions.points, _CORNER * setup.tolerances["gap"]
         nearby = [abs(contact.gap) <= corner_size for contact in snapshot.contacts]
+        slow = setup.tolerances["speed"]
         for i, point in enumerate(points):
             corner = [j for j, other in enumerate(points) if other == point and nearby[j]]
             goes_off = before[i] not in INACTIVE and i in corner
-            if goes_off and len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
+            if not goes_off:
+                continue
+            rates = [snapshot.contacts[j].gap_rate for j in corner]
+            # It leaves one side of the tip of a ridge, or slides out between opposed sides.
+            slides = max(abs(snapshot.contacts[j].slip) for j in corner) > slow
+            normals = snapshot.jacobians[corner, 0]
+            opposed = slides and float((normals @ normals.T).min()) < 0.0
+            if min(rates) >= -slow and (max(rates) > slow or opposed):
+                continue
+            if len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
                 names = ", ".join(self._names[j] for j in corner)
                 return (
                     f"{names} meet here, and all are off: the point may fall through; "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -110,9 +111,8 @@ def correct_durations(
         duration = 2.0 * resolved.contacts[i].gap_rate / (float(resting_fall[i]) * loss)
         state_after = _moved(plastic, state, accelerations, duration)
         final_fall = _closing_accelerations(setup, at(state_after, duration), lying)
-        change = (resting_fall[i] - final_fall[i] - (resolved_fall[i] - resting_fall[i]) / loss) / (
-            3.0 * resting_fall[i]
-        )
+        change = resting_fall[i] - final_fall[i] - (resolved_fall[i] - resting_fall[i]) / loss
+        change /= 3.0 * resting_fall[i]
         if not abs(change) <= max(_MAX_CORRECTION, setup.capture / setup.scales.speed):
             return None
         corrected_durations[i] = float(duration * (1.0 + change))
@@ -161,39 +161,34 @@ def rest_of_passages(
     passages reduce the rate by the factor r, the total is their duration over ``1 - r``. `strike`
     returns the velocities after an impact of contacts.
     """
-    rates, total = [at(state).contacts[opening].gap_rate], 0.0
-    size = len(setup.scales.coordinates)
+    first = rate = at(state).contacts[opening].gap_rate
+    size, every, total = len(setup.scales.coordinates), range(len(setup.contacts)), 0.0
+    both = [i in (supporting, opening) for i in every]
     for _ in range(2):
-        snapshot, count = at(state), len(setup.contacts)
-        reversed_state = state.copy()
-        reversed_state[size : 2 * size] *= -1.0
-        resting = [i == supporting for i in range(count)]
+        back = state.copy()
+        back[size : 2 * size] *= -1.0
+        resting = [i == supporting for i in every]
         a, b = (
-            float(_closing_accelerations(setup, shifted, resting)[opening])
-            for shifted in (snapshot, at(reversed_state))
+            float(_closing_accelerations(setup, at(one), resting)[opening]) for one in (state, back)
         )
-        if not (a > 0.0 and b > 0.0 and rates[-1] > 0.0):
+        if not (a > 0.0 and b > 0.0 and rate > 0.0):
             return None
-        is_slow = max(rates[-1], abs(snapshot.contacts[opening].slip)) <= setup.capture
-        if not (is_slow or rates[-1] ** 2 <= 2.0 * a * setup.tolerances["gap"]):
+        is_slow = max(rate, abs(at(state).contacts[opening].slip)) <= setup.capture
+        if not (is_slow or rate**2 <= 2.0 * a * setup.tolerances["gap"]):
             return None
         ratio = math.sqrt(b / a)
-        total += rates[-1] / a * (1.0 + 1.0 / ratio)
-        reversed_state[size : 2 * size] *= ratio
+        total += rate / a * (1.0 + 1.0 / ratio)
+        back[size : 2 * size] *= ratio
         try:
-            velocity = strike(
-                at(reversed_state), [i in (supporting, opening) for i in range(count)]
-            )
+            state = at(back).moved(back, strike(at(back), both))
         except SimulationError:
             return None
-        state = at(reversed_state).moved(reversed_state, velocity)
         supporting, opening = opening, supporting
         contacts = at(state).contacts
         if contacts[supporting].gap_rate > setup.tolerances["speed"]:
             return None
-        rates.append(contacts[opening].gap_rate)
-    ratio_of_cycle = rates[-1] / rates[0]
-    return total / (1.0 - ratio_of_cycle) if ratio_of_cycle < 1.0 else None
+        rate = contacts[opening].gap_rate
+    return total / (1.0 - rate / first) if rate < first else None
 
 
 def _choose_resting(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Array:
@@ -220,9 +215,6 @@ def stands_for_bounces(
     A row of balls transmits a blow through contacts that hardly open: a plastic contact would stop
     the blow.
     """
-    changes = [
-        abs(a.gap_rate - b.gap_rate)
-        for a, b, is_closed in zip(resolved.contacts, plastic.contacts, closed, strict=True)
-        if is_closed
-    ]
-    return max(changes) <= _MAX_CHANGE * max(resolved.contacts[i].gap_rate for i in bouncing)
+    pairs = compress(zip(resolved.contacts, plastic.contacts, strict=True), closed)
+    change = max(abs(a.gap_rate - b.gap_rate) for a, b in pairs)
+    return change <= _MAX_CHANGE * max(resolved.contacts[i].gap_rate for i in bouncing)

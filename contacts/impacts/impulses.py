@@ -394,21 +394,14 @@ def _problem(
     labels, jacobians = label_coupled_coordinates(snapshot, group), snapshot.jacobians[group]
     touched = {label for row in jacobians for label in labels[np.abs(row).max(axis=0) > 0.0]}
     moved = np.nonzero([label in touched for label in labels])[0]
-    start = [
-        (c.gap_rate + restitution[i] * min(c.gap_rate, 0.0), c.slip)
-        for i, c in ((i, snapshot.contacts[i]) for i in group)
-    ]
-    edges = cones([laws[i] for i in group], [snapshot.contacts[i] for i in group])
-    hold_at_rest(np.array(start, float).reshape(-1, 2), edges)
-    problem = ImpactProblem(
-        np.ascontiguousarray(snapshot.mass[np.ix_(moved, moved)]),
-        np.ascontiguousarray(jacobians[:, :, moved]),
-        edges,
-        np.array(start, float).reshape(-1, 2),
-        snapshot.velocity[moved],
-        not any(restitution[i] > 0.0 for i in group),
-    )
-    return problem, moved
+    contacts, e = [snapshot.contacts[i] for i in group], np.array(restitution, float)[group]
+    start = np.array([c[1:3] for c in contacts]).reshape(-1, 2)
+    start[:, 0] += e * np.minimum(start[:, 0], 0.0)
+    edges = cones([laws[i] for i in group], contacts)
+    hold_at_rest(start, edges)
+    mass = np.ascontiguousarray(snapshot.mass[np.ix_(moved, moved)])
+    rows, velocity = np.ascontiguousarray(jacobians[:, :, moved]), snapshot.velocity[moved]
+    return ImpactProblem(mass, rows, edges, start, velocity, not (e > 0.0).any()), moved
 
 
 def _modes_of(law: ContactLaw) -> list[int]:
@@ -427,18 +420,12 @@ def _solutions(problem: ImpactProblem, codes: Sequence[Sequence[int]]) -> list[I
     violations, edges = np.empty(len(table)), np.empty(len(table))
     solve_impacts(problem, table, changes, impulses, violations, edges)
     rough = (problem.cones[:, 1] > 0.0).tolist()
-    return [
-        Impulses(
-            changes[k],
-            impulses[k],
-            tuple(
-                "stick" if mode == SLIDE and rubs else STATES[mode]
-                for mode, rubs in zip(table[k].tolist(), rough, strict=True)
-            ),
-            float(violations[k]),
-        )
-        for k in np.flatnonzero(violations <= _TIE)
-    ]
+    found = []
+    for k in np.flatnonzero(violations <= _TIE).tolist():
+        modes = zip(table[k].tolist(), rough, strict=True)
+        states = tuple("stick" if m == SLIDE and rubs else STATES[m] for m, rubs in modes)
+        found.append(Impulses(changes[k], impulses[k], states, float(violations[k])))
+    return found
 
 
 def _modes_by_lemke(problem: ImpactProblem) -> list[tuple[int, ...]]:
@@ -480,21 +467,15 @@ def _same_motion(problem: ImpactProblem, first: Impulses, second: Impulses) -> b
 
 
 def _expand_solution(
-    problem: ImpactProblem,
-    collision: Impulses,
-    moved: Ints,
-    group: list[int],
+    problem: ImpactProblem, collision: Impulses, moved: Ints, group: list[int],
     size: tuple[int, int],
-) -> Impulses:
+) -> Impulses:  # fmt: skip
     """Expand a solution to all coordinates and contacts, with its smallest impulses."""
     after, terms, fastest = _motion(problem, collision.change)
     is_closed = np.abs(after[:, 0]) <= _TIE * terms[:, 0]
     sticks = np.abs(after[:, 1]) <= _TIE * terms[:, 1]
-    code = np.where(
-        problem.cones[:, 1] == 0.0,
-        SLIDE,
-        np.where(sticks, PIN, np.where(after[:, 1] > 0.0, SLIDE_PLUS, SLIDE_MINUS)),
-    )
+    rough = np.where(sticks, PIN, np.where(after[:, 1] > 0.0, SLIDE_PLUS, SLIDE_MINUS))
+    code = np.where(problem.cones[:, 1] == 0.0, SLIDE, rough)
     code = np.where(is_closed, code, FREE)
     edges = np.empty((len(code), 2))
     choose_edges(problem.cones, code, edges)

@@ -75,24 +75,16 @@ def paradoxes(
         frictionless = _response(snapshot, i, 1.0, 0.0)
         if p > max(threshold, _P_ROUND_OFF) * frictionless:
             continue
-        no_rows = np.zeros((0, len(snapshot.forces)))
+        no_rows, b = np.zeros((0, len(snapshot.forces))), math.nan
         unconstrained = solve_kkt(snapshot.mass, snapshot.forces, no_rows, no_rows, np.zeros(0))
-        b = (
-            math.nan
-            if unconstrained is None
-            else float(snapshot.jacobians[i, 0] @ unconstrained[0] + snapshot.biases[i, 0])
-        )
+        if unconstrained is not None:
+            b = float(snapshot.jacobians[i, 0] @ unconstrained[0] + snapshot.biases[i, 0])
         if p >= 0.0 and not b < 0.0:
             continue
         across = sign * _response(snapshot, i, 0.0, 1.0)
-        infinite_friction = cone_n == 0.0
-        paradoxes_met[i] = Paradox(
-            law.name,
-            p if infinite_friction else p / cone_n,
-            b,
-            math.inf if infinite_friction else cone_t / cone_n,
-            frictionless / across if across > 0.0 else math.inf,
-        )
+        critical = frictionless / across if across > 0.0 else math.inf
+        p, mu = (p / cone_n, cone_t / cone_n) if cone_n else (p, math.inf)
+        paradoxes_met[i] = Paradox(law.name, p, b, mu, critical)
     return paradoxes_met
 
 
@@ -156,13 +148,11 @@ def engaged_state(law: ContactLaw, contact: PerContact, slip_tolerance: float) -
 
 def listed_mode(key: Key, setup: SceneSetup, snapshot: Snapshot) -> Key:
     """Return the mode with closed states for contacts that do not list free."""
-    contacts = zip(key, setup.contacts, snapshot.contacts, strict=True)
-    return tuple(
-        closed_state(law, contact, setup.slip_tolerance)
-        if name == "free" and name not in law.states
-        else name
-        for name, law, contact in contacts
-    )
+    mode, still = [*key], setup.slip_tolerance
+    for i, law in enumerate(setup.contacts):
+        if key[i] == "free" and "free" not in law.states:
+            mode[i] = closed_state(law, snapshot.contacts[i], still)
+    return tuple(mode)
 
 
 def resolve_jam(
@@ -203,9 +193,10 @@ def strike_jammed(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bo
 
 
 def _sliding(setup: SceneSetup, snapshot: Snapshot, place: int) -> Key:
-    return tuple(
-        closed_state(law, contact, setup.slip_tolerance)
-        if i == place or (law.coupling and contact.gap < np.inf and law.carrier in (-1, place))
-        else off_state(law) if contact.gap == np.inf else "free"
-        for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True))
-    )  # fmt: skip
+    mode: list[str] = []
+    for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
+        on = contact.gap < math.inf
+        closed = i == place or (law.coupling and on and law.carrier in (-1, place))
+        opened = "free" if on else off_state(law)
+        mode.append(closed_state(law, contact, setup.slip_tolerance) if closed else opened)
+    return tuple(mode)

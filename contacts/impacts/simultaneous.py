@@ -4,7 +4,8 @@ Contacts without common coordinates are independent. A single contact has its ow
 (`contacts.impacts.impact`), or Moreau's. Several contacts have two solutions of Moreau's law
 (`contacts.impacts.impulses`): the plastic one never raises the energy; the one with restitution
 may. The impulse is the farthest convex combination of both that does not raise the energy; it
-satisfies the friction cones (convex) and ``v_n+ >= 0`` (linear).
+satisfies the friction cones (convex) and ``v_n+ >= 0`` (linear). A note says where another order of
+the impacts would give other velocities.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from contacts.impacts.impulses import (
     work_of,
 )
 from contacts.scene.parts import MOREAU, Simultaneous
-from contacts.solvers.impact_sequence import LONGEST_SEQUENCE
+from contacts.solvers.impact_sequence import ALIKE, LONGEST_SEQUENCE
 from contacts.solvers.island_impulses import parabola_root
+from contacts.solvers.step_impulses import LIVELY, NEGLIGIBLE_CHANGE
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
 
@@ -44,6 +46,7 @@ class Impacts:
     impulses: Array  # (c, 2): V and H on the body
     path: tuple[str, ...]  # Impacts in order
     warning: str = ""  # "" or sentences
+    notes: tuple[str, ...] = ()  # Sentences that a run reports once
 
 
 class _GroupImpacts(NamedTuple):
@@ -53,6 +56,7 @@ class _GroupImpacts(NamedTuple):
     impulses: Array
     path: list[str]
     warning: str
+    note: str = ""
 
 
 def impacts(
@@ -68,6 +72,7 @@ def impacts(
     change, impulses = np.zeros(len(snapshot.velocity)), np.zeros((len(laws), 2))
     path: list[str] = []
     warnings: list[str] = []
+    notes: list[str] = []
     for group in groups(snapshot, closed):
         if min(snapshot.contacts[i].gap_rate for i in group) >= 0.0:
             continue
@@ -81,7 +86,9 @@ def impacts(
         impulses += result.impulses
         path += result.path
         warnings += [result.warning] if result.warning else []
-    return Impacts(snapshot.velocity + change, impulses, tuple(path), "; ".join(warnings))
+        notes += [result.note] if result.note else []
+    warning = "; ".join(warnings)
+    return Impacts(snapshot.velocity + change, impulses, tuple(path), warning, tuple(notes))
 
 
 def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
@@ -134,20 +141,44 @@ def _solve_simultaneously(
             plastic_share, share = _work_free_shares(snapshot, group, base, target)
         else:
             warnings.append(f"{names}: no impulse satisfies Moreau's law; the impact is plastic")
-    if len(plastic) > 1 or len(elastic_solutions) > 1:
-        several = plastic if len(plastic) > 1 else elastic_solutions
+    several = plastic if len(plastic) > 1 else elastic_solutions
+    if len(several) > 1:
         modes = " | ".join(", ".join(solution.states[i] for i in group) for solution in several)
         warnings.append(
             f"{names}: several impulses satisfy the impact law ({modes}); the run takes the first"
         )
     change = plastic_share * base.change + share * target.change
     impulses = plastic_share * base.impulses + share * target.impulses
-    modes = ", ".join(f"{laws[i].name}:{base.states[i]}" for i in group)
-    path = [f"plastic {modes}"]
-    if share > 0.0:
-        modes = ", ".join(f"{laws[i].name}:{target.states[i]}" for i in group)
-        path.append(f"to {share:.6g} moreau {modes}")
-    return _GroupImpacts(change, impulses, path, "; ".join(warnings))
+    base_modes, modes = (
+        ", ".join(f"{laws[i].name}:{one.states[i]}" for i in group) for one in (base, target)
+    )
+    path = [f"plastic {base_modes}"] + ([f"to {share:.6g} moreau {modes}"] if share > 0.0 else [])
+    note = ""
+    if rebound and (struck := _order_matters(snapshot, laws, group, target.impulses)):
+        note = (
+            f"{', '.join(struck)} are struck at once, with a restitution of {LIVELY:g} or more: "
+            "Moreau's law resolves these impacts together; for one after another write "
+            "simultaneous: sequential"
+        )
+    return _GroupImpacts(change, impulses, path, "; ".join(warnings), note)
+
+
+def _order_matters(
+    snapshot: Snapshot, laws: Sequence[ContactLaw], group: Sequence[int], impulses: Array
+) -> list[str]:
+    """Return the names of `LIVELY` contacts of different body pairs whose impacts interact."""
+    lively = [i for i in group if laws[i].restitution >= LIVELY and impulses[i, 0] > 0.0]
+    pairs = np.array([laws[i].pair for i in lively])
+    if len(set(pairs.tolist())) < 2:
+        return []
+    moved = np.abs(snapshot.jacobians[lively]).max(axis=(0, 1)) > 0.0
+    normals = snapshot.jacobians[lively][:, 0, moved]
+    columns = np.linalg.solve(snapshot.mass[np.ix_(moved, moved)], normals.T)
+    changes = np.abs(normals @ columns * impulses[lively, 0])
+    others = pairs[:, None] != pairs
+    affects = (changes > NEGLIGIBLE_CHANGE * np.diag(changes)[:, None]) & others
+    named = affects.any(axis=0) | affects.any(axis=1)
+    return [laws[i].name for i, one in zip(lively, named.tolist(), strict=True) if one]
 
 
 def _work_free_shares(
@@ -162,10 +193,7 @@ def _work_free_shares(
         return 0.0, 1.0
     difference = target.change - plastic.change
     curvature = 0.5 * float(difference @ snapshot.mass @ difference)
-    plastic_share, share = parabola_root(
-        min(_work(snapshot, group, plastic)[0], 0.0), gain, curvature
-    )
-    return plastic_share, share
+    return parabola_root(min(_work(snapshot, group, plastic)[0], 0.0), gain, curvature)
 
 
 def _work(snapshot: Snapshot, group: Sequence[int], solution: Impulses) -> tuple[float, float]:
@@ -180,25 +208,17 @@ def _work(snapshot: Snapshot, group: Sequence[int], solution: Impulses) -> tuple
 def _solve_sequentially(
     snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int]
 ) -> _GroupImpacts:
-    """Compute impacts one after another, the fastest approach first."""
-    impulses = np.zeros((len(laws), 2))
-    path: list[str] = []
+    """Compute impacts one after another, the fastest approach first, equal ones together."""
+    impulses, path, warnings = np.zeros((len(laws), 2)), list[str](), list[str]()
     current, first_approach, struck = snapshot, 0.0, set[int]()
-    terms = np.abs(snapshot.velocity)
-    warnings: list[str] = []
+    normals, terms = np.abs(snapshot.jacobians[group, 0]), np.abs(snapshot.velocity)
     while True:
-        moving = [current.contacts[i] for i in group]
-        limits = [
-            _ROUND_OFF * (abs(c.gap_rate) + float(np.abs(normal) @ terms))
-            for c, normal in zip(moving, snapshot.jacobians[group, 0], strict=True)
-        ]
-        approaching = [
-            k for k in range(len(group)) if moving[k].gap_rate < (-limits[k] if path else 0.0)
-        ]
+        rates = np.array([current.contacts[i].gap_rate for i in group])
+        limits = _ROUND_OFF * (np.abs(rates) + normals @ terms) if path else 0.0
+        approaching: list[int] = np.flatnonzero(rates < -limits).tolist()
         if not approaching:
             break
-        k = min(approaching, key=lambda k: moving[k].gap_rate)
-        approach = -moving[k].gap_rate
+        approach = -float(rates[approaching].min())
         first_approach = first_approach or approach
         endless = len(path) >= LONGEST_SEQUENCE or approach < _MIN_APPROACH * first_approach
         if endless:
@@ -208,16 +228,26 @@ def _solve_sequentially(
                     f"{names}: the sequence of impacts does not end; after {len(path)} the "
                     f"approach velocity is {approach:.3g}, and the rest is plastic"
                 ]
-            result = _solve_simultaneously(current, laws, group, False)._replace(
-                path=["plastic rest"]
-            )
+            result = _solve_simultaneously(current, laws, group, False)
+            results = [result._replace(path=["plastic rest"])]
         else:
-            result = _single_impact(current, laws, group[k])
-            struck.add(k)
-        impulses += result.impulses
-        path += result.path
-        warnings += [result.warning] if result.warning else []
-        current = _with_velocity(snapshot, current.velocity + result.change)
+            # Equal approaches are one impact where they affect each other.
+            alike = [k for k in approaching if -rates[k] >= (1.0 - ALIKE) * approach]
+            fastest = [i in {group[k] for k in alike} for i in range(len(laws))]
+            struck.update(alike)
+            results = [
+                _single_impact(current, laws, together[0])
+                if len(together) == 1
+                else _solve_simultaneously(current, laws, together, True)
+                for together in groups(snapshot, fastest)
+            ]
+        velocity = current.velocity
+        for result in results:
+            impulses += result.impulses
+            path += result.path
+            warnings += [result.warning] if result.warning else []
+            velocity = velocity + result.change
+        current = _with_velocity(snapshot, velocity)
         if endless:
             break
         terms = np.maximum(terms, np.abs(current.velocity))
@@ -226,9 +256,9 @@ def _solve_sequentially(
 
 
 def _with_velocity(snapshot: Snapshot, velocity: Array) -> Snapshot:
-    contacts = []
-    for contact, jacobian in zip(snapshot.contacts, snapshot.jacobians, strict=True):
-        normal, slip = (jacobian @ (velocity - snapshot.velocity)).tolist()
-        rates = {"gap_rate": contact.gap_rate + normal, "slip": contact.slip + slip}
-        contacts.append(contact._replace(**rates))
-    return snapshot._replace(velocity=velocity, contacts=tuple(contacts))
+    changes = (snapshot.jacobians @ (velocity - snapshot.velocity)).tolist()
+    contacts = tuple(
+        contact._replace(gap_rate=contact.gap_rate + normal, slip=contact.slip + tangential)
+        for contact, (normal, tangential) in zip(snapshot.contacts, changes, strict=True)
+    )
+    return snapshot._replace(velocity=velocity, contacts=contacts)

@@ -126,9 +126,8 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     its motion. Among combinations with the same motion the one with most closed, then most pinned
     contacts is returned.
     """
-    return _solved_combinations(
-        case, *_combinations(tuple(options), resistance_pairs(tuple(case.laws)))
-    )
+    pairs = resistance_pairs(tuple(case.laws))
+    return _solved_combinations(case, *_combinations(tuple(options), pairs))
 
 
 def _solved_combinations(
@@ -191,12 +190,10 @@ def _explain(
             and same_motion(rejected, candidate, scales, _EXACT)
             for rejected, other in failed
         ):
-            chosen = np.empty((len(code), 2))
+            chosen, loaded_by = np.empty((len(code), 2)), carriers(tuple(case.laws))
             choose_edges(edges, code, chosen)
-            loaded_by = carriers(tuple(case.laws))
-            shared_forces = share(
-                code, snapshot, chosen, loaded_by, candidate.forces, inward, case.signs
-            )
+            forces = candidate.forces
+            shared_forces = share(code, snapshot, chosen, loaded_by, forces, inward, case.signs)
         if shared_forces is None or shared_forces.violation > tie * scales.force:
             failed.append((candidate, code))
             solved[k] = _refuse(candidate, _UNEXPLAINED)
@@ -226,7 +223,11 @@ def _combinations(
         for states in product(*options)
         if all((states[i] in OPEN) == (states[carrier] in OPEN) for i, carrier in pairs)
     )
-    return combinations, np.array([[CODES[state] for state in s] for s in combinations], np.int64)
+    return combinations, _codes(combinations)
+
+
+def _codes(combinations: Sequence[Sequence[str]]) -> Ints:
+    return np.array([[*map(CODES.__getitem__, states)] for states in combinations], np.int64)
 
 
 def same_motion(
@@ -262,9 +263,8 @@ def lemke_candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candi
     edges = np.empty((len(group), 2))
     sliding = np.where(slides > 0.0, SLIDE_PLUS, np.where(slides < 0.0, SLIDE_MINUS, PIN))
     choose_edges(cones(laws, snapshot.contacts)[group], sliding, edges)
-    contacts, unconstrained = delassus_matrix(
-        snapshot.mass, snapshot.jacobians[group], snapshot.forces
-    )
+    jacobians = snapshot.jacobians[group]
+    contacts, unconstrained = delassus_matrix(snapshot.mass, jacobians, snapshot.forces)
     free_accelerations = snapshot.biases[group] + unconstrained
     for k, i in enumerate(group):
         if laws[i].coupling:
@@ -280,17 +280,14 @@ def lemke_candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candi
     if not solved:
         return []
     after = free_accelerations + (contacts @ forces.ravel()).reshape(-1, 2)
-    not_accelerating = np.abs(after) <= SAME_MOTION * max(
-        scales.acceleration, float(np.abs(after).max())
-    )
+    largest = max(scales.acceleration, float(np.abs(after).max()))
+    not_accelerating = np.abs(after) <= SAME_MOTION * largest
     negligible = SAME_MOTION * float(np.abs(forces).max())
-    assignments = []
+    assignments: dict[tuple[str, ...], None] = {}
     # An unloaded contact may be closed or open, one at the edge of its cone pinned or sliding.
     for close_unloaded, pin_at_edge in product((True, False), repeat=2):
-        states = [
-            allowed_states[0] if len(allowed_states) == 1 or law.coupling else "free"
-            for allowed_states, law in zip(options, laws, strict=True)
-        ]
+        pairs = zip(options, laws, strict=True)
+        states = [may[0] if len(may) == 1 or law.coupling else "free" for may, law in pairs]
         for k, i in enumerate(group):
             V, H = forces[k].tolist()
             bears = max(V, abs(H)) > negligible
@@ -301,21 +298,15 @@ def lemke_candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candi
             sticking = next((state for state in options[i] if state in STICKING), "")
             if at_rest[i] and not_accelerating[k, 1] and (pin_at_edge or is_inside) and sticking:
                 states[i] = sticking
-            elif laws[i].coupling:
-                states[i] = "slip+" if slip_direction > 0.0 else "slip-"
-            elif edges[k, 1] == 0.0:
+            elif edges[k, 1] == 0.0 and not laws[i].coupling:
                 states[i] = "slide"
             else:
-                states[i] = "slide+" if slip_direction > 0.0 else "slide-"
+                sign = "+" if slip_direction > 0.0 else "-"
+                states[i] = ("slip" if laws[i].coupling else "slide") + sign
         for i, carrier in resistance_pairs(tuple(laws)):
             if states[carrier] in OPEN:
                 states[i] = "free"
-        if all(
-            state in allowed_states for state, allowed_states in zip(states, options, strict=True)
-        ):
-            assignments.append(tuple(states))
-    combinations = tuple(dict.fromkeys(assignments))
-    if not combinations:
-        return []
-    codes = np.array([[CODES[state] for state in states] for states in combinations])
-    return _solved_combinations(case, combinations, codes)
+        if all(state in may for state, may in zip(states, options, strict=True)):
+            assignments[tuple(states)] = None
+    combinations = tuple(assignments)
+    return _solved_combinations(case, combinations, _codes(combinations)) if combinations else []

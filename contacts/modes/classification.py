@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import compress
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -84,20 +85,15 @@ class ForceUncertainty(NamedTuple):
         if not any(map(_comes_to_rest, options, self.certain_modes)):
             return None
         tolerance = self.setup.force_uncertainty
-        for candidate in sorted(
-            candidates(case._replace(tie=tolerance), options), key=closedness_key
-        ):
+        found = sorted(candidates(case._replace(tie=tolerance), options), key=closedness_key)
+        for candidate in found:
             if closedness_key(candidate)[:2] > closedness_key(taken)[:2]:
                 break
+            excess = abs(candidate.violation)
             rests = any(map(_comes_to_rest, candidate.states, self.certain_modes))
-            is_close = (
-                rests
-                and abs(candidate.violation) <= tolerance
-                and not self._has_just_failed(case, candidate)
-            )
-            if is_close and max(abs(candidate.violation), case.tie) <= self._spread(
-                case, candidate
-            ):
+            if not rests or excess > tolerance or self._has_just_failed(case, candidate):
+                continue
+            if max(excess, case.tie) <= self._spread(case, candidate):
                 return candidate
         return None
 
@@ -117,22 +113,15 @@ class ForceUncertainty(NamedTuple):
     def _spread(self, case: Case, candidate: Candidate) -> float:
         """Return the uncertainty of the violation of a mode, in the scales."""
         setup, tolerance, total = self.setup, self.setup.force_uncertainty, 0.0
-        speed_tolerance = setup.tolerances["speed"]
-        sizes = setup.scales.sizes
-        state_errors = (
-            speed_tolerance
-            / setup.scales.speed
-            * np.maximum(sizes, np.abs(self.state[: len(sizes)]))
-        )
-        time_error = speed_tolerance / setup.scales.acceleration
-        steps = state_errors[:, None] * np.eye(len(sizes), len(self.state))
+        slow, sizes = setup.tolerances["speed"], setup.scales.sizes
+        errors = slow / setup.scales.speed * np.maximum(sizes, np.abs(self.state[: len(sizes)]))
+        steps = errors[:, None] * np.eye(len(sizes), len(self.state))
         shifted_states = [(self.state + step, 0.0) for step in steps]
-        for state, time in [*shifted_states, (self.state, time_error)]:
+        for state, time in [*shifted_states, (self.state, slow / setup.scales.acceleration)]:
             shifted = case._replace(snapshot=self.at(state, time), tie=tolerance)
             (solved,) = candidates(shifted, [(role,) for role in candidate.states])
-            total += (
-                tolerance if solved.undetermined else abs(solved.violation - candidate.violation)
-            )
+            change = abs(solved.violation - candidate.violation)
+            total += tolerance if solved.undetermined else change
         return total
 
 
@@ -164,17 +153,14 @@ _UNCHECKED = (
 
 
 def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -> dict[str, str]:
-    laws, coefficients = case.laws, _coefficients(case)
-    verdicts = {
-        _label(laws, c.states): _verdict(c, case.tie) + coefficients(c.states) for c in tried
-    }
+    laws, coefficients, firmer = case.laws, _coefficients(case), _more_sticking(case)
+    verdicts = {}
+    for c in tried:
+        held = taken is not None and _is_held_by_friction(c, taken, firmer)
+        exceeded = held and c.violation > NEGLIGIBLE_TIE * case.tie
+        why = c.reason if exceeded else _verdict(c, case.tie)
+        verdicts[_label(laws, c.states)] = why + coefficients(c.states)
     if taken is not None:
-        firmer = _more_sticking(case)
-        verdicts |= {
-            _label(laws, c.states): c.reason + coefficients(c.states)
-            for c in tried
-            if c.violation > NEGLIGIBLE_TIE * case.tie and _is_held_by_friction(c, taken, firmer)
-        }
         verdicts[_label(laws, taken.states)] = "taken" + coefficients(taken.states)
     return verdicts
 
@@ -182,9 +168,8 @@ def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -
 def _rejections(refused: Mapping[str, str]) -> Iterator[str]:
     """Yield the first rejected modes with reasons, and the number of the others."""
     for label, why in [*refused.items()][:_MAX_LISTED]:
-        contact = f"{label.partition(':')[0]}: "
-        why = why.removeprefix(contact) if " " not in label else why
-        yield f"{label or 'free motion'} fails, {why}"
+        contact = "" if " " in label else f"{label.partition(':')[0]}: "
+        yield f"{label or 'free motion'} fails, {why.removeprefix(contact)}"
     if len(refused) > _MAX_LISTED:
         yield f"{len(refused) - _MAX_LISTED} more modes fail"
 
@@ -195,13 +180,11 @@ def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
     split = [k for k, row in enumerate(edges) if not (row[:2] == row[2:].reshape(2, 2)).all()]
 
     def format_coefficients(states: Sequence[str]) -> str:
-        phrases = []
-        for k in split:
-            if states[k] in ("pin", "slide+", "slide-"):
-                kind = "static" if states[k] == "pin" else "kinetic"
-                n, t = edges[k].reshape(3, 2)[("pin", "slide+", "slide-").index(states[k])]
-                mu = math.inf if n == 0.0 else t / n
-                phrases.append(f"{case.laws[k].name}: {kind} friction {mu:.7g}")
+        phrases, closed = [], ("pin", "slide+", "slide-")
+        for k in (k for k in split if states[k] in closed):
+            n, t = edges[k].reshape(3, 2)[closed.index(states[k])]
+            kind, mu = "static" if states[k] == "pin" else "kinetic", t / n if n else math.inf
+            phrases.append(f"{case.laws[k].name}: {kind} friction {mu:.7g}")
         return f" ({', '.join(phrases)})" if phrases else ""
 
     return format_coefficients
@@ -294,20 +277,16 @@ def choose(
         reasons = "; ".join(filter(None, (*_rejections(refused), note)))
         advice = "; ".join(_advice(laws, closed, tried))
         raise NoConsistentMode(". ".join(filter(None, (reasons, advice))), considered=refused)
-    taken, warning = _select_candidate(
-        _continuing_candidates(agreeing, tried, case, before), case, before
-    )
-    uncertain = (
-        None if by_pivoting or uncertainty is None else uncertainty.sticking(case, options, taken)
-    )
+    continuing = _continuing_candidates(agreeing, tried, case, before)
+    taken, warning = _select_candidate(continuing, case, before)
+    uncertain = None
+    if uncertainty is not None and not by_pivoting:
+        uncertain = uncertainty.sticking(case, options, taken)
     if uncertain is not None:
         taken, warning = uncertain, ""
     # A rejected mode of undetermined load may close contacts that the selected mode opens.
-    if (
-        not warning
-        and taken.violation >= -tie
-        and any(_opens_more(taken, rejected, closed) for rejected in tried)
-    ):
+    doubtful = not warning and taken.violation >= -tie
+    if doubtful and any(_opens_more(taken, rejected, closed) for rejected in tried):
         warning = f"indeterminate: {OPEN_LOAD}; the run takes {_label(laws, taken.states)}"
     notes: tuple[str, ...] = (_UNCHECKED,) if by_pivoting else ()
     if taken.share is not None:
@@ -379,33 +358,19 @@ def _select_candidate(
     # A candidate on the boundary of its inequalities (an unloaded massless body) is no rival.
     certain = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
     same = SAME_MOTION if taken.share is None else _SAME_BY_SHARES
-    rivals = [
-        c
-        for c in certain
-        if c is not taken
-        and not same_motion(c, taken, scales, same)
-        and not _slips_more(c, taken, firmer)
-    ]
+    rivals = [c for c in certain if c is not taken and not same_motion(c, taken, scales, same)]
+    rivals = [c for c in rivals if not _slips_more(c, taken, firmer)]
     if not rivals and taken.share is not None:
         # With a shared load, candidates on the boundary are rivals, too.
         new = _bearing(taken) - before.bearing
         less = [c for c in clear if _bearing(c) < _bearing(taken) <= _bearing(c) | new]
-        rivals = [
-            c
-            for c in less
-            if not same_motion(c, taken, scales, _CONTINUES) and not _slips_more(c, taken, firmer)
-        ]
+        rivals = [c for c in less if not same_motion(c, taken, scales, _CONTINUES)]
+        rivals = [c for c in rivals if not _slips_more(c, taken, firmer)]
     starting = _at_static_friction([taken, *rivals], case) if rivals and firmer else []
     if not rivals or len(starting) == 1:
         return (starting or [taken])[0], ""
     labels = ", ".join(_label(laws, c.states) for c in [taken, *rivals])
-    opened = [
-        c
-        for c in [taken, *rivals]
-        if any(
-            state == "free" and touching for state, touching in zip(c.states, closed, strict=True)
-        )
-    ]
+    opened = [c for c in [taken, *rivals] if "free" in compress(c.states, closed)]
     if not opened:
         raise AmbiguousMode(
             f"the declaration does not decide between {labels}; remove one of them from the modes "
@@ -413,16 +378,10 @@ def _select_candidate(
         )
     # Painleve's indeterminate case: a contact could also stay closed with a force without cause.
     # The candidates with the smallest sets of loaded contacts do without.
-    bearing = [_bearing(c) for c in opened]
-    minimal = [
-        c for c, loaded in zip(opened, bearing, strict=True) if not any(b < loaded for b in bearing)
-    ]
+    minimal = [c for c in opened if not any(_bearing(d) < _bearing(c) for d in opened)]
     taken = min(minimal, key=closedness_key)
-    return (
-        taken,
-        f"indeterminate: {labels} all agree with the state; "
-        f"the run takes {_label(laws, taken.states)}",
-    )
+    run_takes = f"the run takes {_label(laws, taken.states)}"
+    return taken, f"indeterminate: {labels} all agree with the state; {run_takes}"
 
 
 def _is_held_by_friction(taken: Candidate, other: Candidate, firmer: Sequence[int]) -> bool:
@@ -442,12 +401,8 @@ def _at_static_friction(found: Sequence[Candidate], case: Case) -> list[Candidat
     snapshot, limits = case.snapshot, case.snapshot.limits.copy()
     rests = np.array(case.at_rest, np.bool_)[len(case.at_rest) - len(limits) :]
     limits[rests, 1] = limits[rests, 0]
-    contacts = tuple(
-        [
-            contact._replace(edges=None) if still else contact
-            for contact, still in zip(snapshot.contacts, case.at_rest, strict=True)
-        ]
-    )
+    pairs = zip(snapshot.contacts, case.at_rest, strict=True)
+    contacts = tuple([c._replace(edges=None) if still else c for c, still in pairs])
     static = case._replace(snapshot=snapshot._replace(contacts=contacts, limits=limits))
     alone = ((c, candidates(static, [(state,) for state in c.states])) for c in found)
     return [c for c, solved in alone if any(one.violation <= case.tie for one in solved)]
@@ -498,22 +453,19 @@ def _advice(
     laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Iterable[Candidate]
 ) -> Iterator[str]:
     """Yield sentences on how to change a declaration whose state has no consistent mode."""
-    rough = [
-        law.name
-        for law, is_closed in zip(laws, closed, strict=True)
-        if is_closed and "pin" in law.states and not any(s in SLIDING for s in law.states)
-    ]
+    laws = [*compress(laws, closed)]
+    rough = [x.name for x in laws if "pin" in x.states and not {*SLIDING}.intersection(x.states)]
     if rough:
         yield (
             f"Add slide, with a friction, to the modes of {', '.join(rough)}: a point that may not "
             "slip can need a force that pulls (McGeer's paradox)"
         )
     unlisted = False
-    for law, is_closed in zip(laws, closed, strict=True):
+    for law in laws:
         kinds = {declared_state(state) for state in law.states}
         expected = ("free", "slide", "pin") if law.cone_t > 0.0 else ("free", "slide")
         missing = [kind for kind in expected if kind not in kinds]
-        if is_closed and missing and law.name not in rough and not law.coupling:
+        if missing and law.name not in rough and not law.coupling:
             unlisted = True
             yield f"{law.name} has no {' and no '.join(missing)} among its modes: add it"
     if not unlisted and any(c.undetermined == SINGULAR for c in tried):
@@ -545,13 +497,9 @@ def _note_held_contacts(
         return ()
     reduced = np.abs(snapshot.jacobians[:, 0]).max(axis=1, initial=0.0)
     unreduced = np.abs(snapshot.unreduced.jacobians[:, 0]).max(axis=1, initial=0.0)
-    names = [
-        law.name
-        for law, is_closed, state, remaining, full in zip(
-            laws, closed, states, reduced, unreduced, strict=True
-        )
-        if is_closed and state in OPEN and remaining <= _IMPLIED * full and not law.coupling
-    ]
+    shut = [is_closed and state in OPEN for is_closed, state in zip(closed, states, strict=True)]
+    idle = np.array(shut, np.bool_) & (reduced <= _IMPLIED * unreduced)
+    names = [law.name for law in compress(laws, idle) if not law.coupling]
     if not names:
         return ()
     return (

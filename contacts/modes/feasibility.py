@@ -112,22 +112,16 @@ def feasible_modes(
             else:
                 conflicts.add(frozenset(conflict))
     # Report the shortest conflict of a mode.
-    refusals = [
-        (frozenset(conflict), _sentence(conflict, names), _formulas(conflict))
-        for conflict in sorted(
-            map(sorted, conflicts), key=lambda conflict: (len(conflict), conflict)
-        )
-    ]
-    return tuple(
-        ModeVerdict(states, True, "")
-        if conditions is None
-        else next(
-            ModeVerdict(states, False, reason, formulas)
-            for conflict, reason, formulas in refusals
-            if conflict <= conditions
-        )
-        for states, conditions in conditions_of.items()
-    )
+    shortest = sorted(map(sorted, conflicts), key=lambda conflict: (len(conflict), conflict))
+    refusals = [(c, _sentence(c, names), _formulas(c)) for c in shortest]
+    verdicts = []
+    for states, refused in conditions_of.items():
+        verdict = ModeVerdict(states, True, "")
+        if refused is not None:
+            reasons = (r for r in refusals if refused.issuperset(r[0]))
+            verdict = ModeVerdict(states, False, *next(reasons)[1:])
+        verdicts.append(verdict)
+    return tuple(verdicts)
 
 
 def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], str]:
@@ -146,13 +140,9 @@ def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], st
 
 def _reason(directions: Iterable[ModeVerdict]) -> str:
     """Join the reasons of all directions, unless one is independent of the direction."""
-    reasons = {
-        mode.reason: any(formula in ("v_t > 0", "v_t < 0") for _, formula in mode.conflict)
-        for mode in directions
-    }
-    return next(
-        (reason for reason, directed in reasons.items() if not directed), "; ".join(reasons)
-    )
+    reasons = {m.reason: {"v_t > 0", "v_t < 0"} & {f for _, f in m.conflict} for m in directions}
+    undirected = (reason for reason, directed in reasons.items() if not directed)
+    return next(undirected, "; ".join(reasons))
 
 
 def _conditions(states: Sequence[str], count: int) -> list[Condition]:
@@ -188,10 +178,10 @@ def _conflict(rows: Array, conditions: list[Condition]) -> list[Condition] | Non
     conflict = _certificate(rows, conditions)
     if conflict is None:
         return None
-    for condition in list(conflict):
+    for condition in [*conflict]:
         if condition in conflict:
-            smaller = _certificate(rows, [other for other in conflict if other != condition])
-            conflict = conflict if smaller is None else smaller
+            fewer = [other for other in conflict if other != condition]
+            conflict = _certificate(rows, fewer) or conflict
     return sorted(conflict)
 
 
@@ -291,11 +281,8 @@ def scene_feasibility(
     jacobians = snapshot.jacobians
     driven = _prescribed_velocities(snapshot)
     if driven.any():
-        driven_row = np.zeros((1, 2, jacobians.shape[2] + 1))
-        driven_row[0, 0, -1] = 1.0
-        jacobians = np.concatenate(
-            [np.concatenate([jacobians, driven[:, :, None]], axis=2), driven_row]
-        )
+        jacobians = np.pad(jacobians, ((0, 1), (0, 0), (0, 1)))
+        jacobians[:-1, :, -1], jacobians[-1, 0, -1] = driven, 1.0
         names, options = [*names, DRIVEN], [*options, ("free",)]
     if not np.isfinite(jacobians).all():
         raise StatechartError(
@@ -325,24 +312,18 @@ def _prescribed_velocities(snapshot: Snapshot) -> Array:
 
 
 def _remarks(setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]) -> tuple[str, ...]:
-    gap_tolerance = setup.tolerances["gap"]
-    remarks = []
+    near, remarks = setup.tolerances["gap"], list[str]()
     for law, contact, why in zip(setup.contacts, snapshot.contacts, failing, strict=True):
+        name, gap = law.name, contact.gap
         if why:
-            off_name, on_name = ("open", "closed") if law.coupling else ("off", "on")
-            remarks.append(
-                f"{law.name} is {off_name}, as {why!r} does not hold: "
-                f"judged as if it were {on_name}"
-            )
-        elif contact.gap > gap_tolerance:
-            remarks.append(
-                f"{law.name} does not touch (gap {contact.gap:.6g}): judged as if it did"
-            )
-        elif contact.gap < -gap_tolerance:
-            remarks.append(f"{law.name} is {-contact.gap:.6g} inside its surface")
+            off, on = ("open", "closed") if law.coupling else ("off", "on")
+            remarks.append(f"{name} is {off}, as {why!r} does not hold: judged as if it were {on}")
+        elif gap > near:
+            remarks.append(f"{name} does not touch (gap {gap:.6g}): judged as if it did")
+        elif gap < -near:
+            remarks.append(f"{name} is {-gap:.6g} inside its surface")
     if snapshot.reduction is not None:
         joints = snapshot.reduction.joints
         distance = float(np.abs(joints.gaps[joints.on]).max(initial=0.0))
-        if distance > gap_tolerance:
-            remarks.append(f"joints are apart by up to {distance:.6g}")
+        remarks += [f"joints are apart by up to {distance:.6g}"] if distance > near else []
     return tuple(remarks)

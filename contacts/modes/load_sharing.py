@@ -66,12 +66,10 @@ class Share:
         """Return the load sharing of the first contacts, without the signs that follow them."""
         behind = zip(frictions, self.zones[count:], strict=True)
         signs = tuple((sign, zone) for sign, zone in behind if zone != OWN)
-        zones, rows, carriers = self.zones[:count], self.rows[:count], self.carriers[:count]
-        if all(zone == OWN for zone in zones):
+        if all(zone == OWN for zone in self.zones[:count]):
             return None
-        return replace(
-            self, forces=self.forces[:count], zones=zones, rows=rows, carriers=carriers, signs=signs
-        )
+        names = ("forces", "zones", "rows", "carriers")
+        return replace(self, signs=signs, **{name: getattr(self, name)[:count] for name in names})
 
     def roles(self, states: Sequence[str]) -> Roles:
         """Return the roles of contacts in `states`, with their zones and independent rows."""
@@ -97,14 +95,9 @@ _MIN_PRESSURE = 1e-6
 
 
 def share(
-    code: Ints,
-    snapshot: Snapshot,
-    cones: Array,
-    loaded_by: Ints,
-    forces: Array,
-    inward: float,
+    code: Ints, snapshot: Snapshot, cones: Array, loaded_by: Ints, forces: Array, inward: float,
     signs: int,
-) -> Share | None:
+) -> Share | None:  # fmt: skip
     """Return the smallest forces within the cones equivalent to `forces`; None if there are none.
 
     The modes `code` (c,) are those of `contacts.states`; `forces` explain the motion, inside their
@@ -177,23 +170,16 @@ def share(
     joints = np.zeros(0, dtype=np.int64)
     if snapshot.reduction is not None:
         joints = np.nonzero(~snapshot.reduction.joints.redundant)[0]
-        contact_rows, _ = mode_columns(
-            code[shared], cones[shared], snapshot.unreduced.jacobians[shared], -1
-        )
+        unreduced = snapshot.unreduced.jacobians[shared]
+        contact_rows, _ = mode_columns(code[shared], cones[shared], unreduced, -1)
         all_rows = np.vstack([contact_rows, snapshot.reduction.joints.jacobian[joints]])
         _, order, _ = independent_rows(np.ascontiguousarray(all_rows.T))
         # The rank of all rows is this sum, independent of round-off.
         coordinates = np.sort(order[: motion_rank + len(joints)])
     return Share(
-        shared_forces,
-        tuple(zones),
-        rows,
-        carriers,
-        tuple(coordinates.tolist()),
-        tuple(joints.tolist()),
-        float(verdict[0]),
-        tuple(shared[bounded].tolist()),
-    )
+        shared_forces, tuple(zones), rows, carriers, tuple(coordinates.tolist()),
+        tuple(joints.tolist()), float(verdict[0]), tuple(shared[bounded].tolist()),
+    )  # fmt: skip
 
 
 def bearing_contacts(roles: Roles) -> frozenset[int]:
@@ -240,13 +226,11 @@ def prestressed_contacts(jacobians: Array, cones: Array, bearing: Sequence[int])
     effects = np.transpose(edges)
     scale = np.abs(effects).max(axis=1, initial=0.0)
     constraints = effects[scale > 0.0] / scale[scale > 0.0, None]
-    prestressed = set()
+    prestressed, sums, zeros = set(), np.ones((1, len(edges))), np.zeros(len(constraints))
     for k, i in enumerate(bearing):
         objective = np.zeros(len(edges))
         objective[2 * k : 2 * k + 2] = -1.0
-        result = linprog(
-            objective, np.ones((1, len(edges))), [1.0], constraints, np.zeros(len(constraints))
-        )
+        result = linprog(objective, sums, [1.0], constraints, zeros)
         if result.status == 0 and -result.fun > _MIN_PRESSURE:
             prestressed.add(i)
     return frozenset(prestressed)

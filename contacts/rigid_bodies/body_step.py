@@ -442,10 +442,11 @@ def step_bodies(
             write_linked_rates(numbers, space.mid, forced)
             _shown(rates, old, forced)
         # Landing bodies move freely until they touch.
-        chunk.impact_delay[k] = 0.0
+        delay = 0.0
         if lands:
             slight = max(fall, _SPEED_ROUND_OFF * detected.approach)
-            chunk.impact_delay[k] = _landing(space, rates, early, h, slight, first_coupling)
+            delay = _landing(space, rates, early, h, slight, first_coupling)
+        chunk.impact_delay[k, :] = delay
         _store(numbers, warm, space, detected, allowed, rates, k, chunk)
         if unsettle_bodies(warm, k, chunk):
             settle_bodies(numbers, warm, space, rates, detected.contacts, k, chunk)
@@ -465,7 +466,7 @@ def step_bodies(
             state[n + at] = rates[b, d]
             state[at] += 0.5 * h * rates[b, d]
             if lands:
-                state[at] += chunk.impact_delay[k] * (early[b, d] - rates[b, d])
+                state[at] += delay * (early[b, d] - rates[b, d])
             if not math.isfinite(state[at]):
                 return k, NOT_FINITE
         copy_numbers(state, chunk.states[k + 1])

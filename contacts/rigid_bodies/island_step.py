@@ -30,6 +30,7 @@ from contacts.solvers.contact_rows import (
     HELD,
     PAD,
     PAIR,
+    RESTING,
     ContactRows,
     apply_impulse,
     friction_coefficient,
@@ -44,6 +45,7 @@ from contacts.solvers.impulse_coupling import root
 from contacts.solvers.island_impulses import island_impulses
 from contacts.solvers.step_impulses import (
     LIMIT,
+    LIVELY,
     ONE,
     TWO,
     Island,
@@ -57,7 +59,6 @@ from contacts.time_stepping.chunk import (
     CALMED,
     CONTACTS,
     ITERATIONS,
-    LIVELY,
     RESIDUAL,
     SLOW,
     UNENDED,
@@ -162,10 +163,33 @@ def island_rows(numbers: BodyNumbers, members: Ints, h: float, work: Workspace) 
     contacts = ContactRows(
         space.bodies[:count], n_moving, space.rows[:count], space.columns[:count],
         space.own[:count], space.cones[:count], space.laws[:count], space.rates, space.spare,
-        space.shared, space.padded,
+        space.shared, space.padded, space.floor,
     )  # fmt: skip
     write_diagonal_blocks(contacts)
+    space.floor[0] = _velocity_floor(active, work.mid.free_rates, members)
     return contacts
+
+
+@kernel
+def _velocity_floor(active: ActiveContacts, rates: Array, members: Ints) -> float:
+    """Return the least velocity that residuals are relative to.
+
+    It is what forces give a contact in the step, along a wall as well as towards the ground, or
+    `RESTING` of the speeds of its bodies.
+    """
+    floor = 0.0
+    for i in members:
+        for d in range(2):
+            # Joints count with their whole velocity, loads of couplings are none.
+            if active.laws[i] < 0 if d == 0 else active.materials[i, 1] <= 0.0:
+                continue
+            speeds = abs(active.free[i, d])
+            for side in range(2):
+                b = active.bodies[i, side]
+                for k in range(3 if b >= 0 else 0):
+                    speeds += abs(active.rows[i, d, 3 * side + k] * rates[b, k])
+            floor = max(floor, abs(active.free[i, d] - active.before[i, d]), RESTING * speeds)
+    return floor
 
 
 @kernel

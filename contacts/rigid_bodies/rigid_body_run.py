@@ -643,7 +643,7 @@ class RigidBodyRun(SteppedSystem):
         count = min(count, known)
         remembered = remembered[: count + 1]
         columns = joints + self._resisted
-        chunk = Chunk.allocate(h, state, unknowns, bodies + couplings, columns, count)
+        chunk = Chunk.allocate(h, state, (n, unknowns, bodies + couplings, columns), count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.signal_count():

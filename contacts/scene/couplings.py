@@ -121,9 +121,8 @@ def coupling_states(coupling: Coupling) -> tuple[str, ...]:
 
 def coupling_edges(coupling: Coupling) -> tuple[Edge, ...]:
     """Return the transitions of a coupling's statechart."""
-    static, kinetic = ("limit", "limit")
-    if isinstance(coupling.limit, StaticKinetic):
-        static, kinetic = "static", "kinetic"
+    two = isinstance(coupling.limit, StaticKinetic)
+    static, kinetic = ("static", "kinetic") if two else ("limit", "limit")
     edges = []
     for state, beyond in (("slip+", f"M < -{static}"), ("slip-", f"M > {static}")):
         edges.append(Edge("slip", "locked", state, beyond))
@@ -159,10 +158,6 @@ def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
             return share_of(state, contact, 0, role.share, pinned=True, limit=static)
         return state
     direction = _DIRECTIONS[role.state]
-    return State(
-        (couple + direction * kinetic,),
-        (
-            Margin(f"{name}.slip", direction * contact.slip, "speed"),
-            Margin(f"{name}.limit", kinetic, "force"),
-        ),
-    )
+    slip = Margin(f"{name}.slip", direction * contact.slip, "speed")
+    limit = Margin(f"{name}.limit", kinetic, "force")
+    return State((couple + direction * kinetic,), (slip, limit))

@@ -13,6 +13,10 @@ from statechart.errors import DeclarationProblem
 
 JOINT_WORDS = {
     "hinge pin revolute pivot": "joints: {NAME: {point: {body: arm}, to: [0, 0]}}",
+    "prismatic slider slot": (
+        "joints: {NAME: {point: {body: arm}, to: {y: 0}}}; along another line place the body "
+        "by coordinates"
+    ),
     "weld": "joints: {NAME: {point: {body: arm}, to: [0, 0], angle: held}}",
     "rope ropes cables": "joints: {NAME: {point: {body: load}, to: [0, 0], rope: L}}",
     "rod rods": "joints: {NAME: {point: {body: load}, to: [0, 0], rod: L}}",

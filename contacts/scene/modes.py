@@ -105,12 +105,11 @@ class Free(Part):
             # A compliant contact may open while it is inside, and press again there.
             relation = f"{contact.name}.free"
             whole_margin = Max(contact.gap, -contact.compliance, evaluate=False)
+            pull, name = -contact.compliance, contact.name
             margins = [
-                Margin(margins[0].name, gap, "gap", relation, whole_margin),
-                Margin(
-                    f"{contact.name}.{PULL}", -contact.compliance, "force", relation, whole_margin
-                ),
-                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole_margin),
+                Margin(f"{name}.gap", gap, "gap", relation, whole_margin),
+                Margin(f"{name}.{PULL}", pull, "force", relation, whole_margin),
+                Margin(f"{name}.{OUTSIDE}", -contact.gap, "plain", relation, whole_margin),
             ]
         values = contact.friction.used.get(0, {})
         return State((contact.V, contact.H), tuple(margins), values=values)
@@ -152,12 +151,9 @@ class Pin(Part):
             kind: MarginKind = "hold" if contact.friction.used else "force"
             mu = contact.friction.at_rest
             for side, H in ((_UPPER, contact.H), (_LOWER, -contact.H)):
-                distance = t * contact.V - n * H
-                margins.append(
-                    Margin(
-                        f"{name}.{side}", distance, kind, shown=mu * contact.V - H, coefficient=mu
-                    )
-                )
+                margin, distance = f"{name}.{side}", t * contact.V - n * H
+                shown = mu * contact.V - H
+                margins.append(Margin(margin, distance, kind, shown=shown, coefficient=mu))
         equations = (contact.normal_law, contact.tangential_acceleration)
         holds = () if contact.compliance is not None else (contact.sticking,)
         values = contact.friction.used.get(0, {})
@@ -235,17 +231,12 @@ def share_of(
     own_force = contact.V if limit is None else contact.H
     carriers = {f: sp.Symbol(f"{f}_{own_force}", real=True) for f in bearing.carriers}
     edge = carriers.get("e", sp.S.Zero)
-    carried_force = (carriers.get("n", n * edge), carriers.get("t", t * edge))
-    residual = (bears[0] - carried_force[0], bears[1] - carried_force[1])
-    balances = {
-        y[i]: sp.Add(
-            *(row.get(i, 0) * force for row, force in zip(contact.jacobian, residual, strict=True))
-        )
-        for i in places
-    }
-    carried: dict[sp.Symbol, sp.Expr] = {contact.V: carried_force[0], contact.H: carried_force[1]}
-    if limit is not None:
-        del carried[contact.V]
+    normal_force, tangential_force = carriers.get("n", n * edge), carriers.get("t", t * edge)
+    (normal, tangential), (V, H) = contact.jacobian, bears
+    V, H = V - normal_force, H - tangential_force
+    balances = {y[i]: sp.Add(normal.get(i, 0) * V, tangential.get(i, 0) * H) for i in places}
+    carried: dict[sp.Symbol, sp.Expr] = {} if limit is not None else {contact.V: normal_force}
+    carried[contact.H] = tangential_force
     for joint in bearing.joints:
         # The joint force with load sharing, and the one if the carriers bear all of the load.
         force, row = contact.joints[joint]

@@ -295,6 +295,7 @@ class Surface(Part):
         "profile polyline points vertices mesh polygon heightfield": (
             "height: FORMULA of x, or several surfaces, such as edge: [[0, 0], [1, 2]]"
         ),
+        "arc": "circle: [x, y], radius: r; contacts end where enabled: RELATION fails",
         "velocity": "displacement: [v*time, 0]",
         "x": "line: [[1, -1], [1, 1]], a wall; the solid is on the right of its direction",
         "one_way": "enabled: ball.dy <= 0 of the contact",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING
 
 from contacts.scene.friction import Friction
@@ -83,18 +84,14 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
                 result.append(Edge("zeno", "free", state, guard, _landing(state, "skip them; ")))
         result += [Edge("liftoff", state, "free", "V < 0") for state in closed]
     if "pin" in present:
+        guards = {"slide": "|H| > 0", "slide+": f"H < -{mu} V", "slide-": f"H > {mu} V"}
         for state in sliding:
-            sliding_guard = {"slide+": f"H < -{mu} V", "slide-": f"H > {mu} V"}.get(
-                state, "|H| > 0"
-            )
-            result.append(Edge("slip", "pin", state, sliding_guard))
+            result.append(Edge("slip", "pin", state, guards[state]))
             result.append(Edge("stick", state, "pin", f"slip = 0, |H| <= {mu} V", "slip := 0"))
-    if jams:
-        for state in sliding:
-            for target in present:
-                if target != state:
-                    guard, reset = "no V >= 0 prevents penetration", "impact without collision"
-                    result.append(Edge("jam", state, target, guard, reset, alone=True))
+    for state, target in product(sliding if jams else (), present):
+        if target != state:
+            guard, reset = "no V >= 0 prevents penetration", "impact without collision"
+            result.append(Edge("jam", state, target, guard, reset, alone=True))
     if len(sliding) == 2:
         result.append(Edge("reverse", "slide+", "slide-", f"slip = 0, H > {mu} V"))
         result.append(Edge("reverse", "slide-", "slide+", f"slip = 0, H < -{mu} V"))

@@ -28,6 +28,7 @@ class Shape(Part):
         "circle sphere radius": "disc: r",
         "square points vertices corners": "polygon: [[-1, -1], [1, -1], [0, 1]]",
         "capsule": "shape: [{polygon: ...}, {disc: r, at: [a, 0]}, {disc: r, at: [-a, 0]}]",
+        "ellipse oval": "polygon: [[x, y], ...], of at most 16 corners",
         "mesh": "polygon: [[x, y], ...], its outline",
     }
 

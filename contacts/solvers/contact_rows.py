@@ -37,12 +37,10 @@ PAIR = 2
 PAD = 3 * PAIR + 1
 """Column of a compliant contact's pad along the normal, in `ContactRows.rows`."""
 
-# Relative round-off of a contact's velocity under its own impulses.
-_ROW_ROUND_OFF = 1e-13
-# Relative to the fastest slip: a slower approach is round-off of rest, and only friction is to be
-# found. Bodies of grams that walls press on fall past these by 1.6e-3 m/s in a step, and approach
-# them at 4e-19; bodies that fall side by side approach by the round-off of their speeds.
-_RESTING = 1e-6
+RESTING = 1e-6
+"""Part of the speeds of bodies in contact below which an approach is no scale of residuals: of that
+`contacts.solvers.proximal_points.VERIFIED` is the round-off of the speeds."""
+
 # Round-off margin for "changes grow": wedged bodies change equally in every sweep.
 _GROWN = 1.001
 
@@ -68,6 +66,7 @@ class ContactRows(NamedTuple):
     # contacts of bodies may have pads.
     shared: int
     padded: int
+    floor: Array  # (1,): least `velocity_scale`.
 
     @classmethod
     def allocate(cls, most: int, bodies: int, padded: int = 0, shared: int = 0) -> ContactRows:
@@ -80,6 +79,7 @@ class ContactRows(NamedTuple):
             np.empty((most, sides), np.int64), 0, np.empty((most, 2, 3 * sides)),
             np.empty((most, 2, 3 * sides)), np.empty((most, 3)), np.empty((most, 2)),
             np.empty((most, LAW)), np.empty((3, 3 * blocks + 3)), np.empty((7, most, 2)), 0, padded,
+            np.zeros(1),
         )  # fmt: skip
 
 
@@ -107,7 +107,7 @@ def select_rows(contacts: ContactRows, chosen: Ints) -> ContactRows:
     return ContactRows(
         contacts.bodies[chosen], contacts.moving, contacts.rows[chosen], contacts.columns[chosen],
         contacts.own[chosen], contacts.cones[chosen], contacts.laws[chosen], contacts.rates,
-        contacts.spare, contacts.shared, contacts.padded,
+        contacts.spare, contacts.shared, contacts.padded, contacts.floor,
     )  # fmt: skip
 
 
@@ -267,10 +267,10 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
 def velocity_scale(contacts: ContactRows, q: Array) -> float:
     """Return the velocity that residuals are relative to: the fastest approach at zero impulses.
 
-    At least 1e-6 of the fastest slip; for joints their largest velocity. A compliant contact counts
-    with the approach of its bodies, not with that of its pad, which is the depth over the step.
+    At least `ContactRows.floor`; for joints their largest velocity. A compliant contact counts with
+    the approach of its bodies, not with that of its pad, which is the depth over the step.
     """
-    size = 0.0
+    size = contacts.floor[0]
     for i in range(len(q)):
         mu = friction_coefficient(contacts.cones[i])
         if mu < 0.0:
@@ -279,7 +279,7 @@ def velocity_scale(contacts: ContactRows, q: Array) -> float:
             approach, own = -q[i, 0], contacts.own[i, 0]
             if is_compliant(contacts, i) and own > 0.0:
                 approach *= 1.0 - contacts.rows[i, 0, PAD] * contacts.columns[i, 0, PAD] / own
-            size = max(size, approach, _RESTING * abs(q[i, 1]) if mu > 0.0 else 0.0)
+            size = max(size, approach)
     return size
 
 
@@ -288,7 +288,8 @@ def residual(contacts: ContactRows, q: Array, size: float, impulses: Array, rate
     """Return the natural-map residual of the contact laws, relative to `size`.
 
     The largest ``w |p - proj(p - u / w)|`` over contacts (complementarity, cone, maximal
-    dissipation).
+    dissipation), written so that no velocity is lost beside a large impulse: where none satisfy the
+    laws, as of wedged bodies, impulses grow without bound.
     """
     error, own, cones = 0.0, contacts.own, contacts.cones
     for i in range(len(impulses)):
@@ -300,12 +301,9 @@ def residual(contacts: ContactRows, q: Array, size: float, impulses: Array, rate
         mu = friction_coefficient(cones[i])
         if mu < 0.0:
             error = max(error, abs(normal), abs(slip) if mu == HELD else 0.0)
-            size = max(size, _ROW_ROUND_OFF * wn * abs(pn), _ROW_ROUND_OFF * wt * abs(pt))
             continue
-        error = max(error, abs(wn * pn - max(wn * pn - normal, 0.0)))
-        edge = wt * mu * pn
-        error = max(error, abs(wt * pt - min(max(wt * pt - slip, -edge), edge)))
-        size = max(size, _ROW_ROUND_OFF * wn * pn)
+        error, edge = max(error, abs(min(normal, wn * pn))), wt * mu * pn
+        error = max(error, abs(min(max(slip, wt * pt - edge), wt * pt + edge)))
     # Denormal numbers have no digits: adjacent bodies can approach at 1e-320 m/s.
     if error < SMALLEST:
         return 0.0

@@ -85,7 +85,7 @@ def solve_rows(
     # Rows in coordinates all share the same blocks: Newton's equations are that small.
     dense = contacts.shared == 1
     # Rows in coordinates are solved in each step: a body at rest then has exactly zero velocity.
-    if not dense and best <= (_AT_REST if at_rest else VERIFIED):
+    if not dense and best <= (_AT_REST if at_rest else min(VERIFIED, tolerance)):
         return best, 0
     trial, iterations, pivots = contacts.spare[TRIAL, :count], 0, count <= _LEMKE and not has_joints
     goal = min(tolerance, VERIFIED) if at_rest or dense or count <= _SMALL else tolerance

@@ -25,9 +25,10 @@ LONGEST_SEQUENCE = 10_000
 """Limit of rounds at an instant: a ball between the floor and one a thousand times as heavy needs
 that many."""
 
-# Relative difference of approach velocities that are equal: such impacts are simultaneous, so that
-# the order of bodies decides nothing.
-_ALIKE = 1e-9
+ALIKE = 1e-9
+"""Relative difference of approach velocities that are equal: such impacts are simultaneous, so that
+the order of bodies decides nothing."""
+
 # Relative round-off of velocities, to the fastest.
 _IMPULSE_ROUND_OFF = 64.0 * 2.0**-52
 # Remaining part of an approach above which impulses failed to stop it.
@@ -141,7 +142,7 @@ def sequential_impacts(
         if turn == LONGEST_SEQUENCE:
             return iterations, worst, fastest
         for i in range(count):
-            done[i] = done[i] or -now[i, 0] < (1.0 - _ALIKE) * fastest
+            done[i] = done[i] or -now[i, 0] < (1.0 - ALIKE) * fastest
             next_ones[i] = not done[i]
         for first in range(count):
             if done[first]:

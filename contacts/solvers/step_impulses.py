@@ -15,6 +15,7 @@ from contacts.solvers.contact_rows import (
     BEGINS,
     LAW,
     ON_TRIAL,
+    RESTING,
     ContactRows,
     apply_impulse,
     clear_rates,
@@ -36,11 +37,16 @@ from statechart.kernels.jit import kernel
 
 # Relative round-off: of velocities and impulses to the largest, of sums to their terms.
 _ROUNDING, SUM_ROUNDING = 1e-13, 1e-9
-# Change of a velocity by another impact, relative to its own change, that is no coupling: a body
-# turns within a step.
-_NEGLIGIBLE_CHANGE = 1e-3
 # Smallest tolerance of forces during impacts, relative to the approach in the step.
 _NEAR = 1e-2
+
+LIVELY = 0.5
+"""Restitution from which a warning says that simultaneous impacts differ from sequential ones: a
+quarter of the approach energy returns. Below it the order rarely matters."""
+
+NEGLIGIBLE_CHANGE = 1e-3
+"""Change of a velocity by another impact, relative to its own change, that is no coupling: a body
+turns within a step."""
 
 ONE, TWO, LIMIT = range(3)
 """Friction laws: one coefficient; static and kinetic; two limits of a force, which bears nothing at
@@ -154,7 +160,7 @@ def order_matters(contacts: ContactRows, pairs: Ints, lively: Bools, impulses: A
                 continue
             for d in range(2 if friction_coefficient(contacts.cones[b]) > 0.0 else 1):
                 own = abs(contacts.own[b, d] * impulses[b, 0])
-                if abs(row_velocity(contacts, b, d, rates)) > _NEGLIGIBLE_CHANGE * own:
+                if abs(row_velocity(contacts, b, d, rates)) > NEGLIGIBLE_CHANGE * own:
                     return True
         clear_rates(contacts, a, rates)
     return False
@@ -200,7 +206,7 @@ def coordinate_rows(jacobians: Array, columns: Array, pads: Array, cones: Array)
     contacts = ContactRows(
         np.empty((count, threes), np.int64), threes, np.zeros((count, 2, 3 * threes)),
         np.zeros((count, 2, 3 * threes)), np.empty((count, 3)), cones, np.empty((count, LAW)),
-        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)), 1, 0,
+        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)), 1, 0, np.zeros(1),
     )  # fmt: skip
     for a in range(count):
         for side in range(threes):
@@ -246,6 +252,7 @@ def coordinate_impulses(
     size = 0.0
     for a in range(len(free)):
         size = max(size, largest_size(free[a]), largest_size(before[a]))
+    contacts.floor[0] = RESTING * size
     for a in range(len(free)):
         for d in range(2):
             q[a, d] = free[a, d] + island.bias[a, d]

@@ -24,12 +24,11 @@ SEPARATED, LASTING, HIT = range(3)
 TIME_MARGIN = 1e-6
 """Round-off of time bounds, relative to a step: it must not separate simultaneous corners."""
 
+ORDERED = 1e-3
+"""Part of a step within which impacts at its middle are recorded in the order of their touches."""
+
 SLOW = 2.0 + TIME_MARGIN
 """Approach velocity of an impact, in velocity changes of a free step: a slower contact lasts."""
-
-LIVELY = 0.5
-"""Restitution from which a warning says that simultaneous impacts differ from sequential ones: a
-quarter of the approach energy returns. Below it the order rarely matters."""
 
 RESIDUAL, ITERATIONS, CONTACTS, CALMED, AMBIGUOUS, UNENDED, CHOSEN, WORK, JAMMED = range(9)
 """Columns of `Chunk.stats`: residual of impulses; iterations; active contacts; 1 if restitution was
@@ -60,15 +59,18 @@ class Chunk(NamedTuple):
     approach: Array
     closing: Array
     passed: Array  # (k,): part of a step in which a body that passed another overlapped it.
-    impact_delay: Array  # (k,): time from mid-step to its impacts.
+    # (k, r + n + f): time from mid-step to the impacts of regions, coordinates and joint forces;
+    # of regions without one to the begin of the step, where their modes begin.
+    impact_delay: Array
     energy_gain: Array  # (k,): relative energy gain; see `contacts.time_stepping.step_contacts`.
     stats: Array  # (k, e): solver statistics, columns `RESIDUAL` to `JAMMED`.
 
     @classmethod
     def allocate(
-        cls, h: float, state: Array, unknowns: int, regions: int, joints: int, count: int
+        cls, h: float, state: Array, sizes: tuple[int, int, int, int], count: int
     ) -> Chunk:
-        """Allocate steps from `state`."""
+        """Allocate steps from `state`; sizes: coordinates, unknowns, regions, joint forces."""
+        coordinates, unknowns, regions, joints = sizes
         states = np.empty((count + 1, len(state)))
         states[0] = state
         return cls(
@@ -76,9 +78,15 @@ class Chunk(NamedTuple):
             np.zeros((count, regions), dtype=np.int64), np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions), dtype=np.bool_), np.zeros((count, regions, 2)),
             np.zeros((count, joints)), np.full((count, regions), np.inf), np.zeros(count),
-            np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count),
+            np.zeros(count), np.zeros(count),
+            np.zeros((count, regions + coordinates + joints)), np.zeros(count),
             np.zeros((count, _COLUMNS)),
         )  # fmt: skip
+
+    @property
+    def region_delay(self) -> Array:
+        """The delays (k, r) of regions."""
+        return self.impact_delay[:, : self.struck.shape[1]]
 
     def first(self, count: int) -> Chunk:
         """Return the first `count` steps."""

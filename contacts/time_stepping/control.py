@@ -1,7 +1,8 @@
 """Controllers of a time-stepped scene, evaluated at the ends of steps.
 
-A transition on an event fires at the end of its step, one with a guard as `guard_truths` says.
-Steps are taken in chunks under the present states; those beyond a transition are reverted.
+A transition on an impact fires at the end of its step, on another event at the begin of the step
+that has it, one with a guard as `guard_truths` says. Steps are taken in chunks under the present
+states; those beyond a transition are reverted.
 """
 
 from __future__ import annotations
@@ -77,6 +78,8 @@ class StepControl:
         self._active = ActiveStates(regions)
         self.states = states
         self._begun = False
+        # Whether events at the begin of the next step are awaited; where they were last.
+        self.early, self._early_at = False, 0.0
         self._truths = self._new_truths()
         # Guards that became true in the last step, by region and trigger.
         self._became_true = set[tuple[int, int]]()
@@ -95,17 +98,33 @@ class StepControl:
         self._couplings = {law.name: i for i, law in enumerate(setup.contacts) if law.coupling}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
-        """Return the steps until a controller may act, and whether one may."""
+        """Return the steps until a controller may act, and whether one may.
+
+        Events at the begin of a step are those of the end before, once an instant.
+        """
         if not len(chunk.codes):
             return chunk, False
         shown = recorder.recorded_modes(chunk)
         due, begins = self._truths.take(chunk, start, np.vstack([recorder.row, shown]))
         may_act: Bools = np.any(due | begins, axis=1)
-        if self._queues.waits(self.states):
-            may_act |= recorder.changes(chunk) | np.any(recorder.slips_end(chunk), axis=1)
+        early = np.zeros_like(may_act)
+        if sources := self._queues.sources(self.states):
+            changed, hit = recorder.changes(chunk)
+            heard = [None in sources or name in sources for name in recorder.regions]
+            begins_with: Bools = np.any(changed[:, heard], axis=1)
+            may_act |= hit
+            early[:-1] = begins_with[1:]
+            if begins_with[0] and not self.strikes and abs(start - self._early_at) > 0.5 * chunk.h:
+                self._scene.forget()
+                self.early, self._early_at = True, start
+                return chunk.first(0), True
+            may_act[0] |= begins_with[0]
         may_act[:1] |= self.strikes
-        acts = bool(may_act.any())
-        end = int(np.argmax(may_act)) if acts else len(may_act) - 1
+        acts = bool((may_act | early).any())
+        end = int(np.argmax(may_act | early)) if acts else len(may_act) - 1
+        self.early = bool(early[end] and not may_act[end])
+        if self.early:
+            self._early_at = start + (end + 1) * chunk.h
         # Guards that became true at the instant of a moved surface wait for its impact.
         waiting = self._became_true if self.strikes else set[tuple[int, int]]()
         self._became_true = waiting | self._chosen(begins[end])

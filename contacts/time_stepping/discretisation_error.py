@@ -17,7 +17,7 @@ from contacts.dynamics.scales import Scales
 from contacts.solvers.dependence import USER_DIGITS
 from contacts.solvers.step_impulses import coordinate_impulses, coordinate_rows, new_island
 from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
-from contacts.time_stepping.chunk import TIME_MARGIN, Chunk
+from contacts.time_stepping.chunk import ORDERED, TIME_MARGIN, Chunk
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.stability import Swings
 from statechart.arrays import Array, Bools, Ints
@@ -110,14 +110,14 @@ class DiscretisationError:
         known = self._slips(now, chunk, start, codes)
         if now.source.limits.forces is not None:
             mass = now.source.equations(now.values, chunk.states[0], start).mass
-            missed = now.source.limits.missed(mass, now.values, start, h, chunk.states)
-            known = known if missed is None else known + missed
+            known = known + now.source.limits.missed(mass, now.values, start, h, chunk.states)
         drift = self._drift + np.cumsum(known, axis=0)
         self._drift, self._drifted = drift[-1], np.maximum(self._drifted, np.abs(drift).max(axis=0))
         struck: Bools = np.any(chunk.struck, axis=1)
         times = start + h * np.nonzero(struck)[0]
-        # Landings are solved where they touch.
-        for k in np.nonzero(struck & (chunk.impact_delay == 0.0))[0].tolist():
+        # Others land where they touch.
+        middle = np.any(chunk.struck & (chunk.region_delay >= -ORDERED * h), axis=1)
+        for k in np.flatnonzero(middle).tolist():
             touches = _Touches.of(now, chunk, start, k)
             self._velocity = np.maximum(self._velocity, touches.velocity_error(now, h))
             self._order = self._order or touches.order_warning(now, h)
@@ -203,7 +203,7 @@ class _Touches(NamedTuple):
     def of(cls, now: Equations, chunk: Chunk, start: float, k: int) -> _Touches:
         """Return the impacts of step k."""
         n, h = now.source.size, chunk.h
-        struck = np.nonzero(chunk.struck[k])[0]
+        struck = np.flatnonzero(chunk.struck[k])
         state, time = chunk.states[k].copy(), start + (k + 0.5) * h
         state[:n] += 0.5 * h * state[n : 2 * n]
         rows = now.source.equations(now.values, state, time)
@@ -223,8 +223,7 @@ class _Touches(NamedTuple):
             change = _impact(now, state, self.time - touch, struck)
             if change is None:
                 return None
-            state[n : 2 * n] += change
-            since = touch
+            state[n : 2 * n], since = state[n : 2 * n] + change, touch
         return state[n : 2 * n]
 
     def velocity_error(self, now: Equations, h: float) -> Array:

@@ -1,7 +1,7 @@
 """Polynomials of time steps, and lazy arcs and jumps computed from them on access.
 
 Positions are quadratic and rates linear in time, consistent with the midpoint rule at the ends of
-steps. A step with impacts has them at one instant, and consists of two parts under the same finite
+steps. A step with impacts has one part more than it has times of impact, all under the same finite
 forces. Steps take a quarter of the memory of arc polynomials.
 """
 
@@ -36,65 +36,65 @@ def smooth(left: Array, right: Array, h: float, n: int) -> Array:
 
 
 def struck(
-    left: Array, right: Array, acceleration: Array, lengths: tuple[Array, Array], n: int
-) -> tuple[Array, Array]:
-    """Return the coefficients (k, w, TERMS) of both parts of steps with impacts.
+    left: Array, right: Array, acceleration: Array, part: tuple[Array, Array], after: Bools,
+    h: float,
+) -> Array:  # fmt: skip
+    """Return the coefficients (p, w, TERMS) of parts of steps with impacts.
 
-    `acceleration` (k, n) is that under finite forces; `lengths` (k, 1) are those of the parts.
+    `acceleration` (p, n) is that under finite forces; `part` (p, 1) are begins and ends in a step
+    of size `h`; `after` (p, n): coordinates whose impact is over.
     """
-    variables = slice(2 * n, None)
-    middle = 0.5 * (left[:, variables] + right[:, variables])
+    n, (begin, end) = acceleration.shape[1], part
+    rates, variables, rest = slice(n, 2 * n), slice(2 * n, None), h - begin
+    length = end - begin
+    terms = np.zeros((*left.shape, TERMS))
     # Velocities before and after make the ends of the step exact.
-    rates, (before, after) = right[:, n : 2 * n], lengths
-    second = np.empty_like(right)
-    second[:, :n] = right[:, :n] - after * (rates - 0.5 * after * acceleration)
-    second[:, n : 2 * n] = rates - after * acceleration
-    second[:, variables] = middle
-    parts = []
-    for begin, change, length in (
-        (left, middle - left[:, variables], before),
-        (second, -(middle - right[:, variables]), after),
-    ):
-        terms = np.zeros((*left.shape, TERMS))
-        terms[:, :, 0] = begin
-        terms[:, :n, 1] = length * begin[:, n : 2 * n]
-        terms[:, :n, 2] = 0.5 * length**2 * acceleration
-        terms[:, n : 2 * n, 1] = length * acceleration
-        terms[:, variables, 1] = change
-        parts.append(terms)
-    return parts[0], parts[1]
+    terms[:, rates, 0] = np.where(
+        after, right[:, rates] - rest * acceleration, left[:, rates] + begin * acceleration
+    )
+    terms[:, :n, 0] = np.where(
+        after,
+        right[:, :n] - rest * (right[:, rates] - 0.5 * rest * acceleration),
+        left[:, :n] + begin * (left[:, rates] + 0.5 * begin * acceleration),
+    )
+    flow = (right[:, variables] - left[:, variables]) / h
+    terms[:, variables, 0] = left[:, variables] + begin * flow
+    terms[:, :n, 1], terms[:, rates, 1] = length * terms[:, rates, 0], length * acceleration
+    terms[:, variables, 1] = length * flow
+    terms[:, :n, 2] = 0.5 * length**2 * acceleration
+    return terms
 
 
-def step_polynomials(
-    states: Array, acceleration: Array, h: float, delay: Array, hit: Bools, n: int
-) -> Array:
-    """Return the coefficients (p, w, TERMS) of steps of size `h` between states (k + 1, w).
-
-    One polynomial per step, two per step `hit` (k,), whose impact is `delay` (k,) after its middle;
-    acceleration, `n`: see `struck`.
-    """
-    left, right = states[:-1], states[1:]
+def step_polynomials(steps: Steps) -> Array:
+    """Return the coefficients (p, w, TERMS) of the pieces of steps."""
+    left, right, h, n = steps.states[:-1], steps.states[1:], steps.h, steps.coordinates
+    hit = np.diff(steps.places) > 1
     if not hit.any():
         return smooth(left, right, h, n)
-    before = 0.5 * h + delay[hit, None]
-    parts = struck(left[hit], right[hit], acceleration[hit], (before, h - before), n)
-    pieces = np.concatenate([smooth(left[~hit], right[~hit], h, n), *parts])
+    parts = hit[steps.of_piece]
+    at, begin = steps.of_piece[parts], steps.begins[parts, None]
+    end = np.append(steps.begins[1:], 0.0)[parts, None]
+    part = begin, np.where(end > 0.0, end, h)
+    after = np.broadcast_to(begin > 0.0, (len(at), n))
+    if steps.delays.size:
+        r = steps.struck.shape[1]
+        after = 0.5 * h + steps.delays[at, r : r + n] <= begin
+    pieces = np.concatenate(
+        [
+            smooth(left[~hit], right[~hit], h, n),
+            struck(left[at], right[at], steps.solved[at, :n], part, after, h),
+        ]
+    )
     # Gathering rows is ten times as fast as scattering them.
-    at = _places(hit)[:-1]
-    return pieces[np.argsort(np.concatenate([at[~hit], at[hit], at[hit] + 1]))]
+    return pieces[np.argsort(np.concatenate([np.flatnonzero(~parts), np.flatnonzero(parts)]))]
 
 
 def fill_undefined(rows: Array) -> Array:
     """Replace NaN by the value of the nearest row, the later of two."""
-    unknown = np.isnan(rows)
-    if not unknown.any():
-        return rows
-    result = rows.copy()
-    for column in np.flatnonzero(unknown.any(axis=0)).tolist():
-        known = np.flatnonzero(~unknown[:, column])
-        if not len(known):
-            continue
-        blank = np.flatnonzero(unknown[:, column])
+    unknown, result = np.isnan(rows), rows
+    for column in np.flatnonzero(unknown.any(axis=0) & ~unknown.all(axis=0)).tolist():
+        result = rows.copy() if result is rows else result
+        blank, known = np.flatnonzero(unknown[:, column]), np.flatnonzero(~unknown[:, column])
         after = np.minimum(np.searchsorted(known, blank), len(known) - 1)
         before = np.maximum(after - 1, 0)
         later = np.abs(known[after] - blank) <= np.abs(known[before] - blank)
@@ -112,7 +112,7 @@ def _compact(rows: Numbers) -> Numbers:
 
 
 class Steps(NamedTuple):
-    """Consecutive steps of one size; each is one piece of an arc, one with impacts two."""
+    """Consecutive steps of one size; each is one piece of an arc, and one more per impact time."""
 
     begin: Clock
     h: float
@@ -123,65 +123,66 @@ class Steps(NamedTuple):
     impulses: Array  # shape (k, r, 2)
     joint_impulses: Array  # shape (k, f)
     struck: Bools  # shape (k, r)
-    hit: Bools  # (k,): whether a step has impacts.
-    impact_delay: Array  # (k,): time from the middle of a step to its impacts.
+    delays: Array  # `Chunk.impact_delay`; empty if no step has two impact times.
     places: Ints  # (k + 1,): first piece of each step.
+    of_piece: Ints  # (p,): step of each piece.
+    begins: Array  # (p,): begin of each piece after that of its step.
     # (p, u): unknowns of pieces, if they differ from those of steps.
     halves: Array | None = None
 
     @classmethod
-    def of(cls, chunk: Chunk, hit: Bools, coordinates: int, begin: Clock) -> Steps:
+    def of(cls, chunk: Chunk, coordinates: int, begin: Clock) -> Steps:
         """Return the steps of a chunk."""
+        counts, times = np.ones(len(chunk.codes), np.int64), list[Array]()
+        for k in np.flatnonzero(np.any(chunk.struck, axis=1)).tolist():
+            times.append(0.5 * chunk.h + np.unique(chunk.region_delay[k, chunk.struck[k]]))
+            counts[k] += len(times[-1])
+        places, of_piece = np.append(0, counts.cumsum()), np.arange(len(counts)).repeat(counts)
+        begins = np.zeros(len(of_piece))
+        begins[np.arange(len(begins)) != places[of_piece]] = np.concatenate([np.zeros(0), *times])
+        several = bool(counts.max(initial=0) > 2)
         return cls(
             begin, chunk.h, coordinates, _compact(chunk.states), _compact(chunk.solved),
-            _compact(chunk.impulses), _compact(chunk.joint_impulses), _compact(chunk.struck), hit,
-            _compact(chunk.impact_delay), _places(hit),
+            _compact(chunk.impulses), _compact(chunk.joint_impulses), _compact(chunk.struck),
+            _compact(chunk.impact_delay) if several else np.zeros((0, 0)), places, of_piece, begins,
         )  # fmt: skip
 
     def without_impulses(self) -> Steps:
         """Drop impulses and struck regions."""
-        return self._replace(
-            impulses=self.impulses[:0].copy(),
-            joint_impulses=self.joint_impulses[:0].copy(),
-            struck=self.struck[:0].copy(),
-        )
+        names = ("impulses", "joint_impulses", "struck")
+        return self._replace(**{name: getattr(self, name)[:0].copy() for name in names})
 
     @property
     def width(self) -> int:
         """Bytes of the polynomials of a piece."""
         return TERMS * self.states[0].nbytes
 
-    def without_forces(self, before: Ints, after: Ints, columns: Ints) -> Steps:
-        """Clear the forces of open regions in the halves of steps with impacts.
+    def without_forces(self, after: Ints, delays: Array, before: Ints, columns: Ints) -> Steps:
+        """Clear the forces of open regions in the parts of steps with impacts.
 
-        `columns` (r, 2): columns of the forces of regions.
+        Regions have modes `before` (k, r), and `after` these delays; `columns` (r, 2): columns of
+        their forces.
         """
-        if not self.hit.any():
+        part = (np.diff(self.places) > 1)[self.of_piece]
+        if not part.any():
             return self
-        halves = np.repeat(self.solved, 1 + self.hit, axis=0)
-        for rows, places in ((before, self.places[:-1]), (after, self.places[:-1] + 1)):
-            opened = (rows[self.hit] == FREE) | (rows[self.hit] == OFF_CODE)
-            which, regions = np.nonzero(opened)
-            halves[places[self.hit][which, None], columns[regions]] = 0.0
+        at, begins = self.of_piece[part], self.begins[part, None]
+        halves = self.solved[self.of_piece]
+        modes = np.where(0.5 * self.h + delays[at] <= begins, after[at], before[at])
+        which, regions = np.nonzero((modes == FREE) | (modes == OFF_CODE))
+        halves[np.flatnonzero(part)[which, None], columns[regions]] = 0.0
         return self._replace(halves=halves)
 
-    def at(self, step: int, half: int) -> Clock:
-        """Return when a step, or its second part, begins."""
-        delay = 0.5 * self.h + float(self.impact_delay[step]) if half else 0.0
+    def at(self, step: int, part: int) -> Clock:
+        """Return when a part of a step begins."""
+        delay = float(self.begins[self.places[step] + part]) if part else 0.0
         return self.begin.later(self.h * step + delay).short
 
     @property
     def ends(self) -> Array:
         """The ends of pieces, after `begin`."""
-        steps = self.h * np.arange(len(self.hit) + 1.0)
-        middles = steps[:-1] + (0.5 * self.h + self.impact_delay)
-        return np.insert(steps, np.flatnonzero(self.hit) + 1, middles[self.hit])
-
-
-def _places(hit: Bools) -> Ints:
-    places = np.zeros(len(hit) + 1, np.int64)
-    np.cumsum(1 + hit, out=places[1:])
-    return places
+        steps = self.h * np.append(self.of_piece, len(self.places) - 1.0)
+        return steps + np.append(self.begins, 0.0)
 
 
 class StepRange(NamedTuple):
@@ -202,10 +203,11 @@ class LazyArc(NamedTuple):
 
 
 class LazyJump(NamedTuple):
-    """A jump as a step with impacts."""
+    """A jump as a part of a step that begins with an impact."""
 
     steps: Steps
     step: int
+    part: int
     t: float
     j: int
     region: str
@@ -218,23 +220,20 @@ class _Polynomials:
     """Coefficients, ends and unknowns of all pieces of some steps."""
 
     def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array] | None) -> None:
-        n, hit = steps.coordinates, np.asarray(steps.hit)
-        delay, halves = np.asarray(steps.impact_delay), steps.halves
-        self.terms = step_polynomials(steps.states, steps.solved[:, :n], steps.h, delay, hit, n)
-        self.ends = steps.ends
-        self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
+        self.terms, self.ends = step_polynomials(steps), steps.ends
+        self.unknowns = steps.solved[steps.of_piece] if steps.halves is None else steps.halves
         self.steps, self._energy = steps, energy
 
     @cached_property
     def energies(self) -> dict[int, tuple[float, float]]:
-        """Energies before and after the impacts of each step with impacts."""
-        hit = np.flatnonzero(self.steps.hit)
-        second = self.steps.places[hit] + 1
-        times = np.array([self.steps.at(k, 1).high for k in hit.tolist()])
-        sides = (self.terms[second - 1].sum(axis=2), self.terms[second, :, 0])
+        """Energies before and after the impacts at the begins of pieces."""
+        pieces = np.flatnonzero(self.steps.begins > 0.0)
+        begin, times = self.steps.begin, self.ends[pieces].tolist()
+        at = np.array([begin.later(time).short.high for time in times])
+        sides = (self.terms[pieces - 1].sum(axis=2), self.terms[pieces, :, 0])
         assert self._energy is not None
-        energies_of_sides = (self._energy(side, times).tolist() for side in sides)
-        return dict(zip(hit.tolist(), zip(*energies_of_sides, strict=True), strict=True))
+        energies_of_sides = (self._energy(side, at).tolist() for side in sides)
+        return dict(zip(pieces.tolist(), zip(*energies_of_sides, strict=True), strict=True))
 
 
 class ArcMaker:
@@ -269,22 +268,21 @@ class ArcMaker:
         """Return a jump, computed from a step unless it is one."""
         if isinstance(lazy, Jump):
             return lazy
-        whole, steps = self._of(lazy.steps), lazy.steps
-        first = int(steps.places[lazy.step])
-        of_regions = steps.impulses[lazy.step]
-        places = np.flatnonzero(of_regions.any(axis=1))
-        impulses = {
-            self._regions[i]: (normal, tangential)
-            for i, (normal, tangential) in zip(
-                places.tolist(), of_regions[places].tolist(), strict=True
-            )
-        }
-        of_joints = zip(self._joint_forces, steps.joint_impulses[lazy.step].tolist(), strict=True)
+        whole, steps, k = self._of(lazy.steps), lazy.steps, lazy.step
+        piece = int(steps.places[k]) + lazy.part
+        of_regions, of_joints = steps.impulses[k], steps.joint_impulses[k]
+        if steps.delays.size:
+            now = 0.5 * steps.h + steps.delays[k] == steps.begins[piece]
+            of_regions = np.where(now[: len(of_regions), None], of_regions, 0.0)
+            of_joints = np.where(now[len(now) - len(of_joints) :], of_joints, 0.0)
+        pairs = zip(self._regions, of_regions.tolist(), strict=False)
+        impulses = {name: (normal, along) for name, (normal, along) in pairs if normal or along}
+        joints = zip(self._joint_forces, of_joints.tolist(), strict=True)
         return Jump(
             lazy.t, lazy.j, lazy.region, lazy.cause, lazy.source, lazy.target,
-            whole.terms[first].sum(axis=1), whole.terms[first + 1, :, 0].copy(),
-            impulse=impulses, energy=whole.energies[lazy.step],
-            joint_impulse={name: size for name, size in of_joints if size != 0.0},
+            whole.terms[piece - 1].sum(axis=1), whole.terms[piece, :, 0].copy(),
+            impulse=impulses, energy=whole.energies[piece],
+            joint_impulse={name: size for name, size in joints if size != 0.0},
         )  # fmt: skip
 
     def _of(self, steps: Steps) -> _Polynomials:

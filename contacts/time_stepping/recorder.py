@@ -1,9 +1,9 @@
 """From time steps to a trace: modes of regions, arcs and jumps.
 
-Impacts are at mid-step, or delayed as their step says. A mode without impact begins with its step;
-sticking begins with the step after the end of slip. A step with an impulse has no force, nor have
-the steps that still correct the landing: the recorded force is that of the nearest other step of
-the mode.
+Impacts are at mid-step, or delayed as their step says; those of several times are jumps in their
+order. A mode without impact begins with its step; sticking begins with the step after the end of
+slip. A step with an impulse has no force, nor have the steps that still correct the landing: the
+recorded force is that of the nearest other step of the mode.
 """
 
 from __future__ import annotations
@@ -101,30 +101,21 @@ class Recorder:
         shown = self.recorded_modes(chunk)
         self.chatter.add(shown, self.clock.high, chunk.h)
         hit: Bools = np.any(chunk.struck, axis=1)
-        steps = Steps.of(chunk, hit, self.coordinates, self.clock)
-        was, last = self._before(shown), np.vstack([self._raw, chunk.modes[:-1]])
+        steps, was = Steps.of(chunk, self.coordinates, self.clock), self._before(shown)
         if self.forces is not None:
-            steps = steps.without_forces(was, shown, self.forces)
-        # A disabled contact that closes at once is free first, as with events. A slip that has
-        # stopped in the step before, and a coupling that opens or closes, precede an impact.
-        enabled = (was == OFF_CODE) & (shown != OFF_CODE) & (chunk.struck | (shown != FREE))
-        stopped = hit[:, None] & self.sticks
-        if self._sticking:
-            stopped &= np.isin(was, SLIPS) & np.isin(last, [*RESTS])
-        turned = hit[:, None] & ((was == OPEN_CODE) != (shown == OPEN_CODE))
-        early = np.where(enabled, FREE, np.where(shown == OFF_CODE, OFF_CODE, was))
-        early = np.where(turned, shown, np.where(stopped, last, early))
-        precedes = np.any(enabled | stopped | turned, axis=1)
+            steps = steps.without_forces(shown, chunk.region_delay, was, self.forces)
+        early, begun = self._begin_modes(chunk, shown)
+        changes = self._changed(shown) | hit
+        precedes = np.any((early != was) | (begun != early), axis=1) & changes
         first, done, shared = 0, 0, self.modes and bool(chunk.shared.any())
-        jumps = np.flatnonzero(self._changed(shown) | hit).tolist()
+        jumps, impacts = np.flatnonzero(changes).tolist(), np.diff(steps.places) - 1
         if not (self.modes or self.motion) and len(jumps) > 2:
             # Count the jumps before the last two arcs.
             k, jumps = jumps[-3], jumps[-2:]
-            between = np.where(precedes[:, None], early, was)
-            changed = np.where(hit, 1, (shown != between).sum(axis=1))
-            self.count += int((changed + (between != was).sum(axis=1))[: k + 1].sum())
-            self.row, self.key, done = shown[k], self._key(shown[k]), int(steps.places[k] + hit[k])
-            self.clock = self._began = steps.at(k, int(hit[k]))
+            changed = impacts + (begun != early).sum(axis=1) + (early != was).sum(axis=1)
+            self.count += int(changed[: k + 1].sum())
+            self.row, self.key, done = shown[k], self._key(shown[k]), int(steps.places[k + 1]) - 1
+            self.clock = self._began = steps.at(k, int(impacts[k]))
             self._open, self._size = [], 0
         for k in jumps:
             if shared:
@@ -133,11 +124,10 @@ class Recorder:
             if precedes[k]:
                 done = self._flow(steps, done, k, 0)
                 self._change(early[k], chunk.states[k])
-            done = self._flow(steps, done, k, first - k)
-            if hit[k]:
-                self._strike(steps, k, shown[k])
-            else:
-                self._change(shown[k], chunk.states[k])
+                self._change(begun[k], chunk.states[k])
+            for part in range(1, int(impacts[k]) + 1):
+                done = self._flow(steps, done, k, part)
+                self._strike(steps, k, part, chunk.region_delay[k], shown[k])
         if shared:
             self._note_shared(chunk.shared[first:])
         self._flow(steps, done, len(shown), 0)
@@ -145,9 +135,30 @@ class Recorder:
         if self._size > _LONGEST:
             self.close()
 
-    def changes(self, chunk: Chunk) -> Bools:
-        """Return the steps (k,) in which `add` will record jumps."""
-        return self._changed(self.recorded_modes(chunk)) | np.any(chunk.struck, axis=1)
+    def changes(self, chunk: Chunk) -> tuple[Bools, Bools]:
+        """Return the regions (k, r) that jump at the begins of steps, and steps with impacts."""
+        shown = self.recorded_modes(chunk)
+        was, (early, begun) = self._before(shown), self._begin_modes(chunk, shown)
+        return (was != early) | (early != begun), np.any(chunk.struck, axis=1)
+
+    def _begin_modes(self, chunk: Chunk, shown: Ints) -> tuple[Ints, Ints]:
+        """Return the modes (k, r) at the begins of steps, in their order.
+
+        A disabled contact that closes at once is free first, as with events. A slip that has
+        stopped in the step before, and a coupling that opens or closes, precede an impact. Impacts
+        elsewhere do not delay the mode of a region.
+        """
+        hit: Bools = np.any(chunk.struck, axis=1)[:, None]
+        was, last = self._before(shown), np.vstack([self._raw, chunk.modes[:-1]])
+        enabled = (was == OFF_CODE) & (shown != OFF_CODE) & (chunk.struck | (shown != FREE))
+        stopped = hit & self.sticks
+        if self._sticking:
+            stopped &= np.isin(was, SLIPS) & np.isin(last, [*RESTS])
+        turned = hit & ((was == OPEN_CODE) != (shown == OPEN_CODE))
+        early = np.where(enabled, FREE, np.where(shown == OFF_CODE, OFF_CODE, was))
+        early = np.where(turned, shown, np.where(stopped, last, early))
+        struck = hit & (chunk.region_delay > -0.5 * chunk.h)
+        return early, np.where(struck, early, shown)
 
     def take_finished(self, *, ended: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
         """Remove finished arcs and jumps; return them if outputs ask for the motion.
@@ -216,10 +227,9 @@ class Recorder:
         gained = (after.joint_impulses[0] - before.joint_impulses[0]).tolist()
         return {name: size for name, size in zip(self.joint_forces, gained, strict=True) if size}
 
-    def rewind(self, last: Arc, *, earlier: bool) -> Array:
-        """Go back to the end of a part of the last arc, or of an earlier one; return the state."""
-        if earlier:
-            self._arcs.pop()
+    def rewind(self, last: Arc, *, later: int) -> Array:
+        """Go back to the end of a part of an arc, the last but `later`; return the state."""
+        del self._arcs[len(self._arcs) - later :]
         if self.modes:
             del self._jumps[len(self._jumps) - (self.count - last.j) :]
         self._arcs[-1] = last
@@ -233,10 +243,11 @@ class Recorder:
         ends: Bools = self.sticks & np.isin(shown, SLIPS) & np.isin(chunk.modes, [*RESTS])
         return ends
 
-    def stick(self, modes: Ints, state: Array) -> bool:
-        """Append jumps of regions that stick at the end of the last step; return if any does."""
+    def begin(self, step: Chunk, which: Bools) -> bool:
+        """Append jumps of regions (r,) at the begin of the next step; return if there are any."""
         before = self.count
-        self._change(np.where(np.isin(modes, [*RESTS]), modes, self.row), state)
+        for modes in self._begin_modes(step, self.recorded_modes(step)):
+            self._change(np.where(which, modes[0], self.row), step.states[0])
         return self.count > before
 
     def stop(self, name: str, state: Array) -> None:
@@ -316,30 +327,30 @@ class Recorder:
             names.update(self.indeterminate.get(self.key, ()))
             self.indeterminate[self.key] = tuple(n for n in self.regions if n in names)
 
-    def _flow(self, steps: Steps, first: int, step: int, half: int) -> int:
-        """Append pieces up to a step, or its second part; return the next piece."""
-        last = int(steps.places[step]) + half
+    def _flow(self, steps: Steps, first: int, step: int, part: int) -> int:
+        """Append pieces up to a part of a step; return the next piece."""
+        last = int(steps.places[step]) + part
         if last > first:
             self._open.append(StepRange(steps, first, last))
-            self.clock = steps.at(step, half)
+            self.clock = steps.at(step, part)
             self._size += (last - first) * steps.width
         return last
 
-    def _strike(self, steps: Steps, k: int, row: Ints) -> None:
-        """Append the single jump of a step with impacts."""
+    def _strike(self, steps: Steps, k: int, part: int, delays: Array, after: Ints) -> None:
+        """Append the jump of the impacts at the begin of a part of a step."""
         self.close()
+        times, now = 0.5 * steps.h + delays, steps.begins[steps.places[k] + part]
+        row = np.where(times <= now, after, self.row)
         if not self.modes:
             self.row, self.count, self.key = row, self.count + 1, self._key(row)
             return
-        place = int(steps.struck[k].argmax())
+        place = int((steps.struck[k] & (times == now)).argmax())
         cause = self._cause(int(self.row[place]), int(row[place]), True)
         source, self.row, self.key = self.key, row, self._key(row)
+        region = self.regions[place]
         self._note(
-            LazyJump(
-                steps, k, self.clock.high, self.count, self.regions[place], cause, source,
-                self.key,
-            )
-        )  # fmt: skip
+            LazyJump(steps, k, part, self.clock.high, self.count, region, cause, source, self.key)
+        )
 
     def close(self) -> None:
         """Finish the current arc."""
@@ -390,7 +401,7 @@ class PoseRecorder:
     def add(self, chunk: Chunk, start: Clock, j: int, key: Key) -> None:
         """Append steps from `start` on, after `j` jumps, in these controller states."""
         self._shown.append((j, key))
-        steps = Steps.of(chunk, np.any(chunk.struck, axis=1), self._coordinates, start)
+        steps = Steps.of(chunk, self._coordinates, start)
         self._blocks.add(steps.without_impulses())
 
     def arcs(self, end: float) -> LazySequence[Arc]:

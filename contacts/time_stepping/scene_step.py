@@ -20,6 +20,7 @@ from contacts.time_stepping.chunk import (
     CONTACTS,
     DONE,
     NOT_FINITE,
+    ORDERED,
     RESIDUAL,
     TIME_MARGIN,
     Chunk,
@@ -56,6 +57,7 @@ from contacts.time_stepping.step_contacts import (
     is_mixed_with_impacts,
     label_groups,
     load_couplings,
+    rebounds,
     share_forces,
     share_loads,
     split_forces,
@@ -194,14 +196,14 @@ def switch_contacts(
     numbers, n, off, h, left = tape.numbers, tape.size, memory.disabled, chunk.h, 1.0
     change, time, there = equations.change, instant.time, np.empty_like(numbers)
     deepest, at_kink = np.empty(len(off)), np.empty((len(off), 2), np.bool_)
-    landed = np.zeros(len(off), np.bool_)
+    landed, missed = np.zeros(len(off), np.bool_), np.full(len(off), math.inf)
     for i in range(len(off)):
         part, at_end = _end_of_condition(scene, memory, tape, i)
         landed[i] = at_end < -scene.gap_tolerance
         if landed[i]:
             memory.last[i, 1], left = at_end, min(left, part)
         elif at_end <= scene.gap_tolerance:
-            memory.missed_depths[i, 3] = min(memory.missed_depths[i, 3], time + (part - 1.0) * h)
+            missed[i] = time + (part - 1.0) * h
     for i in range(len(off)):
         deepest[i] = _deepest(memory, tape, i) - scene.gap_tolerance
         lies = min(deepest[i], memory.target_gap[i])
@@ -217,6 +219,7 @@ def switch_contacts(
         if not off[i] and condition < 0.0:
             if landed[i] or at_kink[i, 1 if memory.closed[i] else 0]:
                 continue
+            memory.missed_depths[i, 3] = min(memory.missed_depths[i, 3], missed[i])
             inside = memory.closed[i] or memory.target_gap[i] < 0.0
             if inside and gap < 0.0 and scene.bilateral[i] == 0:
                 # Its depth may be beyond the bound of a condition that holds on the surface.
@@ -475,10 +478,12 @@ def _touch(
     """Return when a group that lands touches, after mid-step, and the change of rates (n,) there.
 
     And the tape and equations for its impulses there, with the forces of mid-step. The time is 0
-    unless it lands.
+    if a contact rebounds, or `time_to_touch` is infinite.
     """
     n, delay, later = tape.size, 0.0, time_to_touch(scene, tape, members, met, h)
     moved, there = np.zeros(n), TapeValues(np.empty_like(tape.numbers), *tape[1:])
+    for i in members:
+        later = 0.0 if rebounds(scene, met, i) else later
     for _ in range(_TOUCHES):
         if not TIME_MARGIN * h < abs(later) < h or delay + later > 0.0:
             break
@@ -512,6 +517,44 @@ def _touch(
             above = after[at + 2] - memory.target_gap[i] + 0.5 * left * left * after[at]
             met.bias[i, 0] = above / h
     return delay, moved, there, at_touch
+
+
+@kernel
+def _write_delays(touches: Array, landed: Bools, owners: Ints, k: int, chunk: Chunk) -> None:
+    """Write when the impacts of step k are recorded, after mid-step, in the order of their touches.
+
+    Landings are recorded where they touch (c,), other impacts at mid-step. Several touches keep
+    their order: landings after another impact are recorded at mid-step, too, touches before the
+    step just after its begin. `owners`: contacts that move coordinates and joint forces, or -1.
+    """
+    h, c, early, last, ordered = chunk.h, len(touches), math.inf, -0.5 * chunk.h, 0.0
+    for i in range(c):
+        for j in range(i if touches[i] < math.inf else 0):
+            if touches[j] < math.inf and touches[j] != touches[i]:
+                ordered = ORDERED
+        if not landed[i]:
+            early = min(early, touches[i])
+    for i in range(c):
+        delay, touch = -0.5 * h, touches[i]
+        if touch < math.inf:
+            delay = touch if landed[i] and touch < early else ordered * touch
+            delay = max(delay, ordered * (touch + h) - _EARLIEST * h)
+        chunk.impact_delay[k, i] = delay
+        last = max(last, delay)
+    for j in range(len(owners)):
+        chunk.impact_delay[k, c + j] = last if owners[j] < 0 else chunk.impact_delay[k, owners[j]]
+
+
+@kernel
+def _note_impacts(scene: StepConstants, members: Ints, moved: Bools, owners: Ints) -> None:
+    """Write a member of a group at what its impacts moved; `moved`: rates and constraints (s,)."""
+    n, first = scene.size, len(moved) - scene.joints
+    for j in range(len(moved)):
+        if moved[j] and (j < n or j >= first):
+            owners[j if j < n else n + j - first] = members[0]
+    for i in members:
+        if is_coupling(scene, i):
+            owners[n + scene.joints + scene.couplings + i - len(scene.cones)] = i
 
 
 @kernel
@@ -728,11 +771,12 @@ def step_scene(
             keep_leaving(scene, memory, tape, equations, instant, k, met, chunk)
         find_active(scene, memory, tape, equations.change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
-        total, lasting = equations.change, equations.lasting
+        total, lasting, before = equations.change, equations.lasting, equations.change.copy()
         copy_numbers(total, lasting)
         copy_numbers(-lasting[:n], memory.contact_change)
         which, blurred, shift = indices(met.active), False, np.zeros(n)
-        since = -_EARLIEST * h
+        touches, landed = np.full(c, math.inf), np.zeros(c, np.bool_)
+        owners = np.full(chunk.impact_delay.shape[1] - c, -1)
         chunk.stats[k, CONTACTS] = len(which)
         clear_contacts(scene, memory.disabled, forces, k, chunk)
         if len(which) > 0:
@@ -745,13 +789,22 @@ def step_scene(
             delay, moved, there, at_touch = _touch(
                 scene, memory, tape, equations, instant, members, met, h
             )
+            copy_numbers(total, before)
+            touch = time_to_touch(scene, tape, members, met, h)
+            touch = touch if touch < math.inf else 0.0
             mixed = _step_group(scene, memory, there, at_touch, members, met, k, chunk)
             blurred = blurred or mixed
             if chunk.struck[k][members].any():
-                since = max(since, delay)
+                touch = delay if delay < 0.0 else min(touch, 0.0)
+                for i in range(c):
+                    # Round-off must not separate simultaneous impacts.
+                    touch = touches[i] if abs(touches[i] - touch) <= TIME_MARGIN * h else touch
+                _note_impacts(scene, members, total != before, owners)
+                for i in members:
+                    touches[i], landed[i] = touch, delay < 0.0
                 for j in range(n):
                     shift[j] -= delay * moved[j]
-        chunk.impact_delay[k] = since if chunk.struck[k].any() else 0.0
+        _write_delays(touches, landed, owners, k, chunk)
         # The steps after an impact bring joints to the violation of the new velocity.
         _write_held(scene, equations, blurred or bool(memory.landing_steps.any()), k, chunk)
         for i in range(n):

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
+from itertools import compress
 
 import numpy as np
 
@@ -242,11 +243,7 @@ class SteppedScene(SteppedSystem):
         memory = self._step_state.contacts
         # A contact that a surface strikes or leaves does not last.
         memory.closed[separates] = False
-        switched = {
-            i: _CODES[new]
-            for i, (new, state) in enumerate(zip(after, before, strict=True))
-            if new != state
-        }
+        switched = {i: _CODES[after[i]] for i in range(len(after)) if after[i] != before[i]}
         for i, code in switched.items():
             self._step_state.codes[i] = memory.modes[i] = code
         return switched, strikes
@@ -271,11 +268,8 @@ class SteppedScene(SteppedSystem):
         rigid = np.array([not law.coupling for law in contacts], np.bool_)
         rigid[rigid] = self._soft[: rigid.sum(), 0] == 0.0
         self._is_rigid = rigid[loads]
-        allowed = [{_CODES[state] for state in law.states} for law in contacts]
-        self._undeclared = np.array(
-            [[code not in codes for code in range(len(STATES))] for codes in allowed],
-            dtype=np.bool_,
-        ).reshape(-1, len(STATES))
+        undeclared = [[state not in law.states for state in STATES.values()] for law in contacts]
+        self._undeclared = np.array(undeclared, np.bool_).reshape(-1, len(STATES))
 
     @property
     def filled(self) -> bool:
@@ -334,14 +328,11 @@ class SteppedScene(SteppedSystem):
         """The smallest margins, at the midpoints of steps."""
         rigid = len(self._source.names) - self._source.couplings
         values = np.column_stack([self._step_state.least_gap, self._step_state.least]).tolist()
-        return {
-            f"{name}.{kind}": value
-            for i, name in enumerate(self._source.names)
-            for kind, value in zip(
-                ("gap", "V", "mu V - |H|") if i < rigid else ("limit",), values[i], strict=False
-            )
-            if math.isfinite(value)
-        }
+        margins: dict[str, float] = {}
+        for i, name in enumerate(self._source.names):
+            kinds = ("gap", "V", "mu V - |H|") if i < rigid else ("limit",)
+            margins |= {f"{name}.{kind}": v for kind, v in zip(kinds, values[i], strict=False)}
+        return {name: value for name, value in margins.items() if math.isfinite(value)}
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -352,7 +343,7 @@ class SteppedScene(SteppedSystem):
             *filter(None, self._step_state.loads.values()),
             *(
                 f"{name} comes to rest with its friction at the bound: it sticks, and might slip on"
-                for name in np.array(self._source.names)[self._step_state.at_bound]
+                for name in compress(self._source.names, self._step_state.at_bound)
             ),
             *self._stays_off(),
         )
@@ -376,7 +367,7 @@ class SteppedScene(SteppedSystem):
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.allocate(
-            h, state, n + r + 2 * c + source.given, c, r + source.couplings, count
+            h, state, (n, n + r + 2 * c + source.given, c, r + source.couplings), count
         )
         self._saved = self._step_state.copy()
         memory = self._step_state.contacts
@@ -403,9 +394,8 @@ class SteppedScene(SteppedSystem):
         self._note(chunk.gaps, forces, chunk.codes, chunk.solved[:, n + r + 2 * c :])
         self._note_passed(chunk, start)
         self._note_loads(chunk, start)
-        if len(chunk.codes):
-            now = Equations(source, self._values, self._cones, self._restitution)
-            self._step_state.errors.add(now, chunk, start, self._saved.codes, swings)
+        now = Equations(source, self._values, self._cones, self._restitution)
+        self._step_state.errors.add(now, chunk, start, self._saved.codes, swings)
         # Loads of couplings are no unknowns.
         loads = n + r + 2 * np.arange(c - source.couplings, c)
         return chunk._replace(solved=np.delete(chunk.solved, loads, axis=1))
@@ -442,9 +432,8 @@ class SteppedScene(SteppedSystem):
         mass, rows, joints = source.equations(self._values, state, start)
         codes = self._step_state.codes
         closed = (codes != FREE) & (codes != OFF_CODE)
-        held = np.concatenate(
-            [rows[closed, :n], rows[np.isin(codes, (PIN, LOCKED)), n : 2 * n], joints[:, :n]]
-        )
+        sticks = np.isin(codes, (PIN, LOCKED))
+        held = np.concatenate([rows[closed, :n], rows[sticks, n : 2 * n], joints[:, :n]])
         swings = source.limits.swings(mass, self._values, state, start, held)
         swing = 0.0 if swings is None else float(swings.speeds.max())
         check_swing(swing, chunk.h)
@@ -454,8 +443,6 @@ class SteppedScene(SteppedSystem):
     def _note_passed(self, chunk: Chunk, start: float) -> None:
         """Note the first step that passed over a contact."""
         gaps, count, h = self._source.gaps, len(chunk.codes), chunk.h
-        if not count:
-            return
         n = self._source.size
         places, rates = chunk.states[:, :n], chunk.states[:, n : 2 * n]
         # From each midpoint to the next, and from the start to the first.
@@ -473,12 +460,8 @@ class SteppedScene(SteppedSystem):
         taking = (chunk.codes != FREE) | chunk.struck
         seen = np.vstack([self._saved.codes != FREE, taking[:-1]])
         times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
-        line, _, part = find_passage(
-            gaps.parts,
-            Steps(times, lines, self._values, begin),
-            seen,
-            _GRAZED * h * self._speed,
-        )
+        steps, near = Steps(times, lines, self._values, begin), _GRAZED * h * self._speed
+        line, _, part = find_passage(gaps.parts, steps, seen, near)
         if line >= 0:
             chunk.passed[line] = part
         # A point that leaves when first detected, or is deeper than its approach explains, entered
@@ -534,45 +517,41 @@ class SteppedScene(SteppedSystem):
         # A slip that reverses in a step is at rest at its end, and without friction may stay so.
         turning = (codes == PIN) & self._undeclared[:, PIN] & (slid | (self._cones[:, 1] == 0.0))
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
-        self._step_state.codes = codes[-1] if len(codes) else self._step_state.codes
+        self._step_state.codes = codes[-1]
         places = np.arange(codes.shape[1])
         wrong = self._undeclared[places, codes]
         np.copyto(shown, codes, where=self._undeclared[places, shown])
         if len(self._source.hauled):
-            times = start + h * np.arange(1, len(codes) + 1)
-            lengths = self._source.lengths.table(chunk.states[1:], self._values, times)
+            ends = chunk.ends(start)
+            lengths = self._source.lengths.table(chunk.states[1:], self._values, ends)
             wrong[:, self._source.hauled] |= lengths < 0.0
         if not self._source.may_jam:
-            for k in np.flatnonzero(chunk.stats[:, JAMMED]).tolist():
-                i = int(chunk.stats[k, JAMMED]) - 1
-                wrong[k, i] |= codes[k, i] != before[k, i]
+            jams = chunk.stats[:, JAMMED, None] == 1 + places
+            wrong |= jams & (codes != before)
         if not wrong.any():
             return len(codes)
-        k = int(np.argmax(wrong.any(axis=1)))
-        i = int(np.argmax(wrong[k]))
+        k, i = np.argwhere(wrong)[0].tolist()
         if k == 0:
             raise self._refusal(i, int(codes[0, i]), start + h)
-        return k
+        return int(k)
 
     def _refusal(self, contact: int, code: int, end: float) -> NoConsistentMode:
         """Return the error of a contact that does not declare a mode of a step."""
         name, state = self._source.names[contact], STATES[code]
         if contact in self._source.hauled:
             return winch_end_message(name, end)
-        if not self._undeclared[contact, code]:
-            return NoConsistentMode(
-                f"contact {name!r} can neither slide nor lift off: friction presses it into "
-                "its surface (Painleve, inconsistent); with paradox: impact an impact "
-                "without collision resolves this"
-            )
-        return NoConsistentMode(
-            f"contact {name!r} would be {state} by t = {end:.7g}, and {state.rstrip('+-')} is not "
-            "among its modes; add it, or end the run before"
+        why = (
+            f"would be {state} by t = {end:.7g}, and {state.rstrip('+-')} is not among its modes; "
+            "add it, or end the run before"
         )
+        if not self._undeclared[contact, code]:
+            why = (
+                "can neither slide nor lift off: friction presses it into its surface (Painleve, "
+                "inconsistent); with paradox: impact an impact without collision resolves this"
+            )
+        return NoConsistentMode(f"contact {name!r} {why}")
 
     def _note(self, gaps: Array, forces: Array, codes: Ints, controlled: Array) -> None:
-        if not len(gaps):
-            return
         memory = self._step_state
         memory.least_gap = np.minimum(memory.least_gap, gaps.min(axis=0))
         normal, tangential = forces[..., 0], np.abs(forces[..., 1])
@@ -637,18 +616,12 @@ class SceneStepper(Stepper):
         c, couplings = len(contacts), len(mechanics.scene.couplings)
         rigid = np.arange(2 * c).reshape(-1, 2)
         places = np.vstack([rigid, np.repeat(2 * c + np.arange(couplings)[:, None], 2, axis=1)])
+        sticks = [{"pin", "slide"} <= one.kinds for one in contacts.values()] + [True] * couplings
         super().__init__(
-            mechanics,
-            regions,
-            self._tapes,
-            again="jam",
+            mechanics, regions, self._tapes, again="jam",
             forces=len(mechanics.a) + len(mechanics.joint_rows) + places,
-            sticks=np.array(
-                [{"pin", "slide"} <= c.kinds for c in contacts.values()] + [True] * couplings,
-                bool,
-            ),
-            turning=tuple(mechanics.scene.couplings),
-        )
+            sticks=np.array(sticks, bool), turning=tuple(mechanics.scene.couplings),
+        )  # fmt: skip
         self._numbers = SceneNumbers(mechanics, stops)
 
     def _begin(
@@ -657,9 +630,9 @@ class SceneStepper(Stepper):
         setup = self._numbers.at(overrides, RELATIVE, stepped=True)
 
         def begin(controls: Key) -> RunInputs:
-            failure, warnings = None, tuple[str, ...]()
+            failure, warnings, solved = None, tuple[str, ...](), np.zeros(0)
             off = idle = np.zeros(len(setup.contacts), np.bool_)
-            codes, solved = np.full(len(off), FREE), np.zeros(0)
+            codes = np.full(len(off), FREE)
             try:
                 codes, off, idle, warnings, solved = self._checked(setup, step, allowed, controls)
             except SimulationError as error:
@@ -711,11 +684,10 @@ class SceneStepper(Stepper):
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
             buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
             off[i] = failing[i] != "" or (OFF in law.states and buried)
-            if not off[i]:
-                check_place(self._scene, law.name, row[:3])
-            if law.coupling or self._scene.contacts[law.name].stiffness is not None:
+            if off[i]:
                 continue
-            if not off[i]:
+            check_place(self._scene, law.name, row[:3])
+            if not law.coupling and self._scene.contacts[law.name].stiffness is None:
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)
                 warnings += hovering_warnings(self._scene, setup.scales, closed, [law.name], [row])
@@ -724,8 +696,7 @@ class SceneStepper(Stepper):
         sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
         sliding[len(self._scene.contacts) :] = False
 
-        def new_trial() -> SteppedScene:
-            return SteppedScene(self._tapes, self._numbers, setup, off, allowed, controls)
+        new_trial = partial(SteppedScene, self._tapes, self._numbers, setup, off, allowed, controls)
 
         def try_step(closed: Bools) -> tuple[SteppedScene, Chunk]:
             trial = new_trial()
@@ -764,8 +735,7 @@ class SceneStepper(Stepper):
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
         """Yield a warning for each friction coefficient that is reduced."""
-        for law in setup.contacts[: len(self._scene.contacts)]:
-            kinds = self._scene.contacts[law.name].kinds
-            if law.cone_t * STEEPEST > law.cone_n and "free" in kinds:
+        for law in setup.contacts:
+            if law.cone_t * STEEPEST > law.cone_n and "free" in law.states and not law.coupling:
                 mu = math.inf if law.cone_n == 0.0 else law.cone_t / law.cone_n
                 yield f"contact {law.name!r}: friction {mu:g} is replaced by {1.0 / STEEPEST:g}"

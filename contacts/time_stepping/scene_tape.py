@@ -8,15 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.contact_law import touching_pairs
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import cone_edge
-from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.stability import StepLimits
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array
 from statechart.automaton.margin_derivatives import derivative
 from statechart.automaton.trace import Key
-from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import Max
 
@@ -68,11 +67,8 @@ class SteppedTape:
             contact = mechanics.contact(name)
             outputs += mechanics.dense((contact.jacobian_n, contact.jacobian_t))
             coupled = name in mechanics.scene.couplings
-            static, kinetic = (
-                (limit.xreplace(known) for limit in mechanics.limits(name))
-                if coupled
-                else (contact.gap, sp.S.Zero)
-            )
+            limits = mechanics.limits(name) if coupled else (contact.gap, sp.S.Zero)
+            static, kinetic = (limit.xreplace(known) for limit in limits)
             motion = contact.bias_n, contact.bias_t, static, contact.gap_rate, contact.slip
             # Surface velocities depend on controller states.
             outputs += [term.xreplace(known) for term in motion] if self.scene.leading else motion
@@ -82,9 +78,9 @@ class SteppedTape:
             for acute in (False, True):
                 valleys = {} if coupled else mechanics.valleys(name, acute=acute)
                 outputs.append(holds if gate is None else gate.by_steps(known, sizes, valleys))
-            edges = (
-                2 * _kinetic_edge(static, kinetic) if coupled else mechanics.sliding_edges(contact)
-            )
+            edges = mechanics.sliding_edges(contact)
+            if coupled:
+                edges = 2 * _kinetic_edge(static, kinetic)
             outputs += [edge.xreplace(known) for edge in edges]
         rows = mechanics.joint_rows
         for row in rows:
@@ -96,52 +92,38 @@ class SteppedTape:
         self.joint_rows = len(rows)
         self.limits = StepLimits(mechanics, forces)
         # Disabled contacts and couplings are never passed over.
-        self.gaps: Tape = mechanics.tape(
-            [
-                Max(
-                    mechanics.contact(name).gap.xreplace(known),
-                    *(() if gate is None else (-gate.by_steps(known, sizes),)),
-                )
-                for name, gate in zip(rigid, map(mechanics.gate, rigid), strict=True)
-            ]
-            + [sp.S.One] * self.couplings
-        )
+        gaps = [sp.S.One] * len(self.names)
+        for i, name in enumerate(rigid):
+            gate = mechanics.gate(name)
+            off = () if gate is None else (-gate.by_steps(known, sizes),)
+            gaps[i] = Max(mechanics.contact(name).gap.xreplace(known), *off)
+        self.gaps: Tape = mechanics.tape(gaps)
         self.given, self.signs = len(set_in), len(signs.functions)
         outputs += [*set_in, *signs.inputs(len(forces))]
         used = mechanics.used_friction
-        self.used = np.array(
-            [mechanics.controls.index(used[n]) if n in used else -1 for n in self.names],
-            np.int64,
-        )
+        places = [mechanics.controls.index(used[n]) if n in used else -1 for n in self.names]
+        self.used = np.array(places, np.int64)
         self.tape: Tape = mechanics.tape(outputs)
         flows = [known.get(rate, rate) for rate in mechanics.controller_rates.values()]
         self.flows: Tape = mechanics.tape(flows)
         # Pins constrain the velocity, frictionless slides its normal component.
         modes = {name: mechanics.scene.region_states(name) for name in self.names}
-        held: dict[Key, int] = {("pin",): 2, ("slide",): 1}
-        self.held = np.array(
-            [0 if name in mechanics.pads else held.get(key, 0) for name, key in modes.items()],
-            np.int64,
-        )
-        self.slips = np.array(
-            [2 if "slide+" in key else int("slide" in key) for key in modes.values()], np.int64
-        )
+        counts: dict[Key, int] = {("pin",): 2, ("slide",): 1}
+        held = [0 if name in mechanics.pads else counts.get(key, 0) for name, key in modes.items()]
+        slips = [2 if "slide+" in key else int("slide" in key) for key in modes.values()]
+        self.held, self.slips = np.array(held, np.int64), np.array(slips, np.int64)
         # (c, 2): stiffness and damping, 0 if rigid.
-        self.soft: Tape = mechanics.tape(
-            [
-                parse(text or 0).to_sympy(mechanics.known)
-                for contact in mechanics.scene.contacts.values()
-                for text in (contact.stiffness, contact.damping)
-            ]
-            + [sp.S.Zero] * (2 * self.couplings)
-        )
+        contacts = mechanics.scene.contacts.values()
+        laws = [text or 0 for one in contacts for text in (one.stiffness, one.damping)]
+        laws += [0] * (2 * self.couplings)
+        self.soft: Tape = mechanics.tape([mechanics.formula(text) for text in laws])
         lengths = {i: mechanics.hauled(name) for i, name in enumerate(rigid)}
         self.hauled = np.array([i for i, margins in lengths.items() if margins], np.int64)
         self.lengths: Tape = mechanics.tape(
             [m.expression.xreplace(known) for margins in lengths.values() for m in margins]
         )
         self.size = len(mechanics.q)
-        self.pairs = _touching_pairs(mechanics.scene)
+        self.pairs = touching_pairs(mechanics.scene)
         self.plastic = mechanics.scene.simultaneous == "plastic"
         self.capped = mechanics.scene.simultaneous == "capped"
         self.may_jam = mechanics.scene.paradox == "impact"
@@ -183,14 +165,10 @@ class _Signs:
             forms = [formula.xreplace(self._signs) for formula in formulas]
             acts = {s: [sp.diff(form, s) for form in forms] for s in self._signs.values()}
             apart = {*self._signs.values()}
-            linear = {
-                node: s
-                for node, s in self._signs.items()
-                if not any(act.free_symbols & apart for act in acts[s])
-            }
-            if len(linear) == len(self._signs):
+            nonlinear = {s for s in apart if any(act.free_symbols & apart for act in acts[s])}
+            if not nonlinear:
                 break
-            self._signs = linear
+            self._signs = {node: s for node, s in self._signs.items() if s not in nonlinear}
         self.functions = tuple(node.args[0] for node in self._signs)
         self._acts = [acts[s] for s in self._signs.values()]
         none = dict.fromkeys(self._signs.values(), sp.S.Zero)
@@ -215,15 +193,3 @@ def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     """Return the unit edge of a slipping coupling: its normal force is the static limit."""
     mu = sp.S.One if static == kinetic else kinetic / Max(static, _TINY)
     return cone_edge(mu)
-
-
-def _touching_pairs(scene: Scene) -> Ints:
-    """Return numbers (c,) of the pairs of bodies, or of a body and a surface, in contact."""
-    things: list[frozenset[str]] = []
-    for contact in scene.contacts.values():
-        carrier = scene.surfaces[contact.surface].body
-        ground = f"surface {contact.surface}" if carrier is None else f"body {carrier}"
-        things.append(frozenset({f"body {contact.point.body}", ground}))
-    things += [frozenset({f"coupling {name}"}) for name in scene.couplings]
-    numbers = {pair: k for k, pair in enumerate(dict.fromkeys(things))}
-    return np.array([numbers[pair] for pair in things], dtype=np.int64)

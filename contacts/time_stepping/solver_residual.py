@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.impact_sequence import LONGEST_SEQUENCE
+from contacts.solvers.step_impulses import LIVELY
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
     CALMED,
@@ -12,13 +13,13 @@ from contacts.time_stepping.chunk import (
     CONTACTS,
     ITERATIONS,
     JAMMED,
-    LIVELY,
     RESIDUAL,
     UNENDED,
     Chunk,
 )
+from contacts.time_stepping.step_rejection import Rejection
 from statechart.automaton.time_stepper import Impulses
-from statechart.errors import SimulationError, UnsolvedImpulses
+from statechart.errors import UnsolvedImpulses
 from statechart.tabular import pluralise
 
 INDETERMINATE = (
@@ -43,16 +44,16 @@ class SolverResidual:
         self._first: dict[int, float] = {}
         self.residual = self._when = 0.0
 
-    def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
-        """Return the first step whose residual exceeds the bound, and the error."""
+    def beyond(self, chunk: Chunk) -> Rejection | None:
+        """Return the first step whose residual exceeds the bound."""
         wrong = chunk.stats[:, RESIDUAL] > self._bound
         if not wrong.any():
             return None
         k = int(np.argmax(wrong))
-        return k, UnsolvedImpulses(
+        return Rejection(k, UnsolvedImpulses(
             f"the residual of the contact impulses is {chunk.stats[k, RESIDUAL]:.2g} of the "
             f"fastest approach, above impulse_bound, {self._bound:g}; take a shorter step"
-        )
+        ))  # fmt: skip
 
     def add(self, chunk: Chunk, start: float) -> None:
         """Accumulate the steps of a chunk that begins at `start`."""

@@ -80,12 +80,7 @@ class StepLimits:
         stiffness = [-derivative(force, place) for force in forces for place in mechanics.q]
         springs = any(entry != 0 for entry in stiffness)
         self._stiffness = mechanics.tape(stiffness) if springs else None
-        changing = {
-            *mechanics.q,
-            *mechanics.v,
-            *mechanics.controller_state.values(),
-            mechanics.time,
-        }
+        changing = {*mechanics.state, mechanics.time}
         varies = any(force.free_symbols & changing for force in forces)
         self.forces = mechanics.tape(forces) if varies else None
         """Forces that vary within a step; None without any."""
@@ -102,9 +97,8 @@ class StepLimits:
         free = null_space(held)
         if free.shape[1] == 0:
             return None
-        squares, shapes = np.linalg.eig(
-            np.linalg.pinv(free.T @ mass @ free) @ (free.T @ stiff @ free)
-        )
+        inverse = np.linalg.pinv(free.T @ mass @ free)
+        squares, shapes = np.linalg.eig(inverse @ (free.T @ stiff @ free))
         swinging = squares.real > 0.0
         if not swinging.any():
             return None
@@ -114,13 +108,11 @@ class StepLimits:
             (np.linalg.pinv(shapes) @ free.T)[swinging],
         )
 
-    def missed(
-        self, mass: Array, values: Array, start: float, h: float, states: Array
-    ) -> Array | None:
-        """Return the velocities (k, n) by the quadrature error of `forces`; None without any."""
+    def missed(self, mass: Array, values: Array, start: float, h: float, states: Array) -> Array:
+        """Return the velocities (k, n) by the quadrature error of `forces`."""
         tape, n, count = self.forces, len(mass), len(states) - 1
         if tape is None or not np.isfinite(mass).all():
-            return None
+            return np.zeros((count, n))
         lines = np.stack([states[:-1], np.diff(states, axis=0)], -1)
         rates = slice(n, 2 * n)
         lines[:, rates, 0], lines[:, rates, 1] = 0.5 * (states[:-1, rates] + states[1:, rates]), 0.0
@@ -144,10 +136,8 @@ def remarks(swing: float, h: float) -> tuple[str, ...]:
     if not swing * h > _COARSE:
         return ()
     return (
-        (
-            f"springs oscillate by up to {swing * h:.2g} rad in one step of {h:g}: their "
-            f"periods are off by {(swing * h) ** 2 / 24:.1%}; take {_FINE / swing:.1g} or less"
-        ),
+        f"springs oscillate by up to {swing * h:.2g} rad in one step of {h:g}: their periods are "
+        f"off by {(swing * h) ** 2 / 24:.1%}; take {_FINE / swing:.1g} or less",
     )
 
 
@@ -187,8 +177,7 @@ def stiffness(
         mine = np.flatnonzero((colours >= first) & (colours < first + _AT_ONCE))
         k = colours[mine] - first
         around = np.tile(state, (2, int(k.max()) + 1, 1))
-        around[0, k, variables[mine]] = state[variables[mine]] + changes[mine]
-        around[1, k, variables[mine]] = state[variables[mine]] - changes[mine]
+        around[:, k, variables[mine]] += np.outer([1.0, -1.0], changes[mine])
         points = around.reshape(-1, len(state))
         forces = tape.table(points, values, np.full(len(points), time))
         more, less = forces.reshape(2, -1, len(tape.outputs))

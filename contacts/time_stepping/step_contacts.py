@@ -15,6 +15,7 @@ from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
     LIMIT,
+    LIVELY,
     SUM_ROUNDING,
     TWO,
     Island,
@@ -44,7 +45,6 @@ from contacts.time_stepping.chunk import (
     HIT,
     JAMMED,
     LASTING,
-    LIVELY,
     SEPARATED,
     SLOW,
     TIME_MARGIN,
@@ -411,7 +411,7 @@ def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, c
 
 
 @kernel
-def _rebounds(scene: StepConstants, met: ContactRoles, i: int) -> bool:
+def rebounds(scene: StepConstants, met: ContactRoles, i: int) -> bool:
     """Return whether contact i has an impact with restitution, which plastic groups have not."""
     rigid_count = 0
     for k in range(len(met.groups)):
@@ -448,7 +448,7 @@ def group_island(
             island.kinds[a] = TWO if scene.coefficient_places[i] >= 0 else LIMIT
             for way in range(-1, 2):
                 write_cone(scene, tape, i, way, island.frictions[a, way])
-        island.rebounds[a] = _rebounds(scene, met, i)
+        island.rebounds[a] = rebounds(scene, met, i)
         if met.hit[i] and scene.restitution[i] > 0.0 and not island.rebounds[a]:
             met.bias[i, 0] = 0.0
         island.hit[a] = met.hit[i if scene.carriers[i] < 0 else scene.carriers[i]]
@@ -470,16 +470,12 @@ def group_island(
 def time_to_touch(
     scene: StepConstants, tape: TapeValues, members: Ints, met: ContactRoles, h: float
 ) -> float:
-    """Return the time to the last touch of a group that lands; infinite if it does not.
-
-    It lands if all its impacts are without restitution, and began within a step.
-    """
+    """Return the time to the last touch of a group; infinite if one did not begin within a step."""
     last = -math.inf
     for i in members:
         row = tape.first + tape.per * i + 2 * tape.size
         gap, nearing = tape.numbers[row + 2], -tape.numbers[row + 3]
-        lands = not _rebounds(scene, met, i) and abs(gap) < h * nearing
-        if scene.compliance[i, 0] > 0.0 or (met.hit[i] and not lands):
+        if scene.compliance[i, 0] > 0.0 or (met.hit[i] and abs(gap) >= h * nearing):
             return math.inf
         if met.hit[i]:
             last = max(last, gap / nearing)

@@ -12,7 +12,7 @@ import numpy as np
 from contacts.states import OFF_CODE
 from contacts.time_stepping.chunk import RESIDUAL, Chunk
 from statechart.arrays import Array, Ints
-from statechart.errors import NoConsistentMode, StepTooLarge, UnsolvedImpulses
+from statechart.errors import NoConsistentMode, SimulationError, StepTooLarge, UnsolvedImpulses
 
 DEEPEST = 0.1
 """Largest gap that a step may close, relative to the scene."""
@@ -30,7 +30,7 @@ class Rejection(NamedTuple):
     """A rejected step."""
 
     step: int  # Its index in the chunk.
-    why: StepTooLarge | UnsolvedImpulses | NoConsistentMode
+    why: SimulationError
     deep: str = ""  # The region that penetrates too far, if that is why.
 
 
@@ -49,29 +49,27 @@ def too_large(
     if not wrong.any():
         return None
     k = int(np.argmax(wrong))
+    deep, closing, gain = "", chunk.closing[k], chunk.energy_gain[k]
     if turn[k] > math.pi:
-        return Rejection(k, StepTooLarge(
-            f"a body turns by {turn[k]:.3g} radians in one step of {h:g}; take "
-            f"{0.1 * h / turn[k]:.1g} or less"
-        ))  # fmt: skip
-    if chunk.passed[k] > 0.0:
-        return Rejection(k, StepTooLarge(
-            f"a body passes through another within one step of {step:g}; take "
-            f"{0.5 * h * chunk.passed[k]:.1g} or less"
-        ))  # fmt: skip
-    if chunk.closing[k] <= DEEPEST * size:
+        shorter = 0.1 * h / turn[k]
+        problem = f"a body turns by {turn[k]:.3g} radians in one step of {h:g}"
+    elif chunk.passed[k] > 0.0:
+        shorter = 0.5 * h * chunk.passed[k]
+        problem = f"a body passes through another within one step of {step:g}"
+    elif closing <= DEEPEST * size:
         # The energy gain grows with the square of the step.
-        part = math.sqrt(_MOST_ADDED / chunk.energy_gain[k])
-        return Rejection(k, StepTooLarge(
-            f"contacts would add {chunk.energy_gain[k]:.2g} of the kinetic energy in one step of "
-            f"{h:g}, in which surfaces or bodies turn too far; take "
-            f"{0.1 * h * part:.1g} or less"
-        ))  # fmt: skip
-    return Rejection(k, StepTooLarge(
-        f"a contact closes at a distance of {chunk.closing[k]:.3g} from its surface in one step "
-        f"of {h:g}, in a scene of size {size:.3g}; take "
-        f"{0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} or less"
-    ), regions[int(np.argmin(_gaps(chunk)[k]))])  # fmt: skip
+        shorter = 0.1 * h * math.sqrt(_MOST_ADDED / gain)
+        problem = (
+            f"contacts would add {gain:.2g} of the kinetic energy in one step of {h:g}, in which "
+            "surfaces or bodies turn too far"
+        )
+    else:
+        shorter, deep = 0.1 * h * DEEPEST * size / closing, _deepest(chunk, regions, k)
+        problem = (
+            f"a contact closes at a distance of {closing:.3g} from its surface in one step of "
+            f"{h:g}, in a scene of size {size:.3g}"
+        )
+    return Rejection(k, StepTooLarge(f"{problem}; take {shorter:.1g} or less"), deep)
 
 
 class SqueezeCheck:
@@ -99,7 +97,7 @@ class SqueezeCheck:
         wrong = (depths > self._start_depth + self._step * approach) & helpless
         if wrong.any():
             k = int(np.argmax(wrong))
-            name = self._name(chunk, k)
+            name = _deepest(chunk, self._regions, k)
             return Rejection(k, UnsolvedImpulses(
                 f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, with "
                 f"a residual of {chunk.stats[k, RESIDUAL]:.2g} of the fastest approach. A body "
@@ -122,11 +120,8 @@ class SqueezeCheck:
             return None
         stuck = stuck[stuck <= k]
         k = int(stuck[bisect_left(stuck, True, key=lambda i: stays(int(i)) > allowed)])
-        name = self._name(chunk, k)
+        name = _deepest(chunk, self._regions, k)
         return Rejection(k, _squeeze_error(name, stays(k)), name)
-
-    def _name(self, chunk: Chunk, k: int) -> str:
-        return self._regions[int(np.argmin(_gaps(chunk)[k]))]
 
 
 def _squeeze_error(name: str, depth: float) -> UnsolvedImpulses:
@@ -151,16 +146,14 @@ def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
 
     if not len(gaps):
         return -math.inf, np.zeros(rows.shape[1])
-    n, none = rows.shape[1], np.ones((len(gaps), 1))
+    n = rows.shape[1]
     result = linprog(
         np.append(np.zeros(n), 1.0),
-        np.hstack([-rows, -none]),
-        gaps,
-        np.hstack([held, np.zeros((len(held), 1))]) if len(held) else None,
-        np.zeros(len(held)) if len(held) else None,
+        -np.pad(rows, ((0, 0), (0, 1)), constant_values=1.0), gaps,
+        np.pad(held, ((0, 0), (0, 1))), np.zeros(len(held)),
         # Bounded below: clearance does not matter.
         [*[(None, None)] * n, (-float(np.abs(gaps).max()), None)],
-    )
+    )  # fmt: skip
     if result.status != 0:
         return -math.inf, np.zeros(n)
     return float(result.fun), result.x[:n]
@@ -171,18 +164,20 @@ def _gaps(chunk: Chunk) -> Array:
     return found
 
 
+def _deepest(chunk: Chunk, regions: Sequence[str], k: int) -> str:
+    return regions[int(np.argmin(_gaps(chunk)[k]))]
+
+
 def without_limit(chunk: Chunk, start: float, couplings: Sequence[str]) -> Rejection | None:
     """Return the first step in which the limit of a coupling is negative, or has no value.
 
     The last gaps of a step are the limits of couplings.
     """
-    wrong = np.argwhere(~(chunk.gaps[:, chunk.gaps.shape[1] - len(couplings) :] >= 0.0)).tolist()
-    if not wrong:
-        return None
-    (k, c), *_ = wrong
-    end = start + (k + 1) * chunk.h
-    problem = (
-        f"coupling {couplings[c]!r}: its limit is below zero or has no value by t = {end:.7g}; a "
-        "coupling that lets go is one with enabled: RELATION"
-    )
-    return Rejection(k, NoConsistentMode(problem))
+    limits = chunk.gaps[:, chunk.gaps.shape[1] - len(couplings) :]
+    for k, c in np.argwhere(~(limits >= 0.0))[:1].tolist():
+        end = start + (k + 1) * chunk.h
+        return Rejection(k, NoConsistentMode(
+            f"coupling {couplings[c]!r}: its limit is below zero or has no value by t = {end:.7g}; "
+            "a coupling that lets go is one with enabled: RELATION"
+        ))  # fmt: skip
+    return None

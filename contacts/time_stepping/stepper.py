@@ -28,6 +28,7 @@ of free fall; otherwise impacts are at mid-step.
 Points whose coupled group lands without restitution land at its last touch, at ``-h < s < 0``
 (found by Newton's method), with the mass and Jacobians there. Forces depend on the new velocities
 for the time ``h/2 - s``. Other impacts of points are at the first mid-step inside the surface.
+Jumps of a step are recorded in the order of the touches.
 """
 
 from __future__ import annotations
@@ -129,23 +130,16 @@ class SteppedRun:
         values, record, watch = self.setup.values, request.record, request.outputs
         # Controllers react to the events of regions.
         records = record is Record.MODES or self.control is not None
+        regions = len(inputs.codes)
         self.recorder = Recorder(
-            stepper.regions[: len(inputs.codes)],
-            inputs.codes,
-            inputs.controls,
-            stepper.sticks,
-            stepper.gated[: len(inputs.codes)],
-            stepper.again,
-            stepper.joint_forces,
-            stepper.forces,
+            stepper.regions[:regions], inputs.codes, inputs.controls, stepper.sticks,
+            stepper.gated[:regions], stepper.again, stepper.joint_forces, stepper.forces,
             lambda states, times: stepper.energy.table(states, values, times)[:, 0],
-            len(stepper.angles),
-            self.system.slips,
-            self.system.slip_errors,
+            len(stepper.angles), self.system.slips, self.system.slip_errors,
             self.setup.residual_slip,
             modes=records or (watch is not None and watch.events),
             motion=watch is not None and watch.motion,
-        )
+        )  # fmt: skip
         self.stops = StopConditions(stepper.stops, self.setup, inputs.controls)
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
@@ -154,6 +148,7 @@ class SteppedRun:
         self._squeeze = SqueezeCheck(stepper.regions, request.step, inputs.setup.start_depth)
         poses = record is Record.POSES
         self._poses = PoseRecorder(len(stepper.angles)) if poses else None
+        self._last: Chunk | None = None
         self._turning = len(stepper.angles) + np.flatnonzero(stepper.angles)
 
     def end(self, outcome: Outcome, message: str) -> None:
@@ -179,7 +174,7 @@ class SteppedRun:
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.request.step, self.request.until
-        control, at = self.control, self._instant(step, self._inputs.solved, None)
+        control, at = self.control, self._instant(step)
         # Bodies with shapes do not know forces at the start.
         at.fresh = not bool(np.isnan(at.own).any())
         if control is not None:
@@ -192,10 +187,8 @@ class SteppedRun:
             return
         yield True
         whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
-        rest = until - whole * step
-        if rest <= 1e-9 * step:
-            counts = [(whole, step)]
-        else:
+        rest, counts = until - whole * step, [(whole, step)]
+        if rest > 1e-9 * step:
             # Forces are impulses over a step: in a very short one they would be round-off.
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
         largest = max(1, min(_CHUNK, _CHUNK_BYTES // (TERMS * self.state.nbytes)))
@@ -203,22 +196,19 @@ class SteppedRun:
         each = max(1, round(min(self._every / step, _COUNTED)))
         for count, h in counts:
             # A step may be split into a power of two of parts.
-            done = 0.0
-            first = self.time
+            done, first = 0.0, self.time
             while done < count:
                 interrupts.check()
-                begin, count_left = first + done * h, count - done
-                if count_left < 1.0:
-                    chunk = self.system.steps(begin, count_left * h, self.state, 1)
-                else:
-                    chunk = self.system.steps(
-                        begin, h, self.state, min(int(count_left), most, each - int(done) % each)
-                    )
-                due = False
+                begin, left, due = first + done * h, count - done, False
+                size, number = min(left, 1.0) * h, min(int(left), most, each - int(done) % each)
+                chunk = self.system.steps(begin, size, self.state, max(number, 1))
                 if control is not None:
                     chunk, due = control.cut(chunk, begin, self.recorder)
-                work = float(chunk.stats[:, WORK].sum())
-                steps = len(chunk.codes)
+                    if due and not len(chunk.codes):
+                        if self._act_early(control, h):
+                            return
+                        continue
+                work, steps = float(chunk.stats[:, WORK].sum()), len(chunk.codes)
                 chunk = self._until_stop(chunk, begin)
                 due = due and len(chunk.codes) == steps
                 if due:
@@ -251,12 +241,13 @@ class SteppedRun:
         if len(chunk.codes):
             if due or stopped is not None:
                 ends = recorder.slips_end(chunk)[-1]
+                ends |= due and control is not None and control.early
             self._hand_on()
             if self._poses is not None:
-                self._poses.add(
-                    chunk, recorder.clock, len(recorder.control_jumps), recorder.controls
-                )
+                jumped = len(recorder.control_jumps)
+                self._poses.add(chunk, recorder.clock, jumped, recorder.controls)
             recorder.add(chunk)
+            self._last = chunk.after(len(chunk.codes) - 1)
             self.solver_residual.add(chunk, start)
             self.fastest = max(self.fastest, float(chunk.approach.max()))
         self.taken += len(chunk.codes)
@@ -265,14 +256,13 @@ class SteppedRun:
         self.request.show(self.time, recorder.count, self.taken)
         met, last, end, waits = None, None, self.time, True
         whole, transitions = len(chunk.codes) == steps and failure is None, 0
-        solved = chunk.solved[-1] if len(chunk.codes) else self._inputs.solved
-        at = self._instant(h, solved, chunk)
+        at = self._instant(h)
         if stopped is not None:
             met, last = stopped[1], self.stops.locate(recorder, stopped[1])
             end = last[0].end.high
             # Contacts that stick at the end of the step precede a stop there, not one before.
             waits = whole and end >= self.time - AT_END * h
-        stuck = whole and waits and self._stick(ends, at)
+        stuck = whole and waits and self._begin_next(ends, at)
         turns = whole and control is not None
         if last is not None and turns:
             fresh = recorder.since(jumps)
@@ -283,7 +273,7 @@ class SteppedRun:
         if control is not None:
             control.accept(chunk, start, end)
         if turns and control is not None:
-            stuck = stuck or self._stick(ends, at)
+            stuck = stuck or self._begin_next(ends, at)
             transitions, fresh = len(recorder.control_jumps), recorder.since(jumps)
             at = control.turn(recorder, fresh, at)
             self.state, transitions = at.state, len(recorder.control_jumps) - transitions
@@ -291,7 +281,7 @@ class SteppedRun:
             met, last = self._met_after_jumps(at), None
         if met is not None:
             if last is not None:
-                self.state = recorder.rewind(last[0], earlier=last[1])
+                self.state = recorder.rewind(last[0], later=last[1])
             self._stop(met)
             return True
         if failure is not None:
@@ -313,35 +303,45 @@ class SteppedRun:
     def _admissible(self, chunk: Chunk, start: float) -> tuple[Chunk, SimulationError | None]:
         """Return the steps before the first one that ends the run as a failure, and that."""
         failure: SimulationError | None = None
-        rejection = without_limit(chunk, start, self.stepper.couplings)
-        if rejection is not None:
-            failure = rejection.why
-            chunk = chunk.first(rejection.step)
-        rejection = self._rejected(chunk, start)
-        if rejection is not None:
-            failure = rejection.why
-            chunk = chunk.first(rejection.step)
-        failed = self.solver_residual.beyond(chunk) or self._squeeze.find(
-            chunk, start, self.fastest, self.system.depth_left
+        checks: tuple[Callable[[Chunk], Rejection | None], ...] = (
+            lambda chunk: without_limit(chunk, start, self.stepper.couplings),
+            lambda chunk: self._rejected(chunk, start),
+            self.solver_residual.beyond,
+            lambda chunk: self._squeeze.find(chunk, start, self.fastest, self.system.depth_left),
+            self._undefined,
         )
-        if failed is not None:
-            failure = failed[1]
-            chunk = chunk.first(failed[0])
+        for check in checks:
+            if (rejection := check(chunk)) is not None:
+                chunk, failure = chunk.first(rejection.step), rejection.why
+        return chunk, failure
+
+    def _undefined(self, chunk: Chunk) -> Rejection | None:
+        """Return the first step at whose end a guard has no value."""
         lost = self.stops.first_undefined(chunk)
         if lost is None and self.control is not None:
             lost = self.control.first_undefined(chunk)
-        if lost is not None:
-            failure = NonFinite(
-                f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
-            )
-            chunk = chunk.first(lost[0])
-        return chunk, failure
+        if lost is None:
+            return None
+        why = f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
+        return Rejection(lost[0], NonFinite(why))
 
-    def _instant(self, h: float, solved: Array, last: Chunk | None) -> StepEnd:
-        """Return the end of the recorded steps, whose last ones are `last`."""
-        recorder, coordinates = self.recorder, len(self.stepper.angles)
-        time, row = recorder.clock.high, recorder.row
+    def _instant(self, h: float) -> StepEnd:
+        """Return the end of the recorded steps."""
+        recorder, last, begin = self.recorder, self._last, self._inputs.solved
+        time, row, coordinates = recorder.clock.high, recorder.row, len(self.stepper.angles)
+        solved = begin if last is None else last.solved[-1]
         return StepEnd(self.system, coordinates, time, h, self.state, row, solved, last)
+
+    def _act_early(self, control: StepControl, h: float) -> bool:
+        """Let controllers act on what begins with the next step; return whether the run ends."""
+        recorder, jumps, at = self.recorder, self.recorder.count, self._instant(h)
+        self._begin_next(np.ones(len(at.codes), np.bool_), at)
+        at = control.turn(recorder, recorder.since(jumps), at)
+        self.state = at.state
+        met = self._met_after_jumps(at) if recorder.count > jumps else None
+        if met is not None:
+            self._stop(met)
+        return met is not None
 
     def _until_stop(self, chunk: Chunk, start: float) -> Chunk:
         """Evaluate the stop conditions; retake steps up to one that is met as a contact sticks."""
@@ -354,14 +354,14 @@ class SteppedRun:
             chunk = self.system.steps(start, chunk.h, chunk.states[0], met[0] + 1)
         return chunk
 
-    def _stick(self, ends: Bools, at: StepEnd) -> bool:
-        """Let contacts stick whose slip `ends` (r,) with the last step; return whether any does."""
-        step = at.next_step if ends.any() else None
+    def _begin_next(self, which: Bools, at: StepEnd) -> bool:
+        """Record jumps of regions (r,) at the begin of the next step; return if there are any."""
+        step = at.next_step if which.any() else None
         if step is None:
             return False
-        sticks = self.recorder.stick(np.where(ends, step.modes[0], at.codes), at.state)
-        at.codes, at.fresh = self.recorder.row, not sticks
-        return sticks
+        begins = self.recorder.begin(step, which)
+        at.codes, at.fresh = self.recorder.row, not begins
+        return begins
 
     def _met_after_jumps(self, at: StepEnd) -> int | None:
         """Return the stop condition that is met in the present state; a struck surface is first."""
@@ -384,15 +384,15 @@ class SteppedRun:
 
     def _check_pace(self) -> None:
         """Raise `TooLong` if the trace of a run without stop conditions would be too large."""
+        if self.taken < _TIMED_STEPS or self.stepper.stops.names:
+            return
         steps = self.request.until / self.request.step
-        most = FAR_TOO_MANY * LARGEST
-        if self.taken >= _TIMED_STEPS and not self.stepper.stops.names:
-            needed = self.size / self.taken * steps
-            if needed > most:
-                raise TooLong(
-                    f"{steps:.3g} steps take {needed / 2**20:.3g} MB, and a trace may take "
-                    f"{LARGEST >> 20} MB; end the run earlier, or take longer steps"
-                )
+        needed = self.size / self.taken * steps
+        if needed > FAR_TOO_MANY * LARGEST:
+            raise TooLong(
+                f"{steps:.3g} steps take {needed / 2**20:.3g} MB, and a trace may take "
+                f"{LARGEST >> 20} MB; end the run earlier, or take longer steps"
+            )
 
     def _rejected(self, chunk: Chunk, start: float) -> Rejection | None:
         """Return the first rejected step."""
@@ -400,13 +400,12 @@ class SteppedRun:
         rejection = too_large(chunk, self._turning, regions, size, step)
         if rejection is None or not rejection.deep:
             return rejection
-        k = rejection.step
+        k, why, deep = rejection
         depth = self.system.depth_left(chunk.states[k], start + k * chunk.h)
-        return rejection._replace(why=squeezed(rejection.deep, depth, size) or rejection.why)
+        return Rejection(k, squeezed(deep, depth, size) or why, deep)
 
     def _stop(self, condition: int) -> None:
-        name = self.stepper.stops.names[condition]
-        self.time = self.recorder.clock.high
+        name, self.time = self.stepper.stops.names[condition], self.recorder.clock.high
         self.recorder.stop(name, self.state)
         self.end(Outcome.STOPPED, f"{name} at t = {self.time:.6g}")
 
@@ -528,8 +527,7 @@ class Stepper(ABC):
 
     def _reads_motion(self, name: str) -> bool:
         """Return whether a coordinate or rate decides the relation `enabled` of a region."""
-        one = self._scene.contacts.get(name) or self._scene.couplings.get(name)
-        gate = self._mechanics.gate(name) if one is not None and one.enabled else None
+        gate = self._mechanics.gate(name) if name in self._scene.frictional else None
         atoms = () if gate is None else gate.atoms
         read = set[sp.Basic]().union(*(a.margin.free_symbols for a in atoms if not a.is_end))
         return not read.isdisjoint(self._mechanics.variables)

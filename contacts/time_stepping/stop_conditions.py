@@ -118,32 +118,27 @@ class StopConditions:
             self._met, self._passing = (x[: len(chunk.codes)] for x in (self._met, self._passing))
             self._spans = self._truths.accept(chunk, start, end) | self._spans
 
-    def locate(self, recorder: Recorder, condition: int) -> tuple[Arc, bool]:
-        """Return the arc that ends where a condition is met in the last step, and if it is earlier.
+    def locate(self, recorder: Recorder, condition: int) -> tuple[Arc, int]:
+        """Return the arc that ends where a condition is met in the last step, and arcs after it.
 
-        An earlier arc is the last but one: a condition is met in the half step before an impact.
+        A condition may be met in a part of the step before an impact.
         """
         recorder.close()
-        arc, before = recorder.arcs[-1], recorder.arcs[-2:-1]
         margin = partial(self._margin, condition, len(recorder.row))
-        begin = float(arc.times[-2])
-        met = len(arc.times) == 2 and margin(arc, begin) < 0.0
-        # An arc may also end where only the parameters change.
-        earlier = met and before and before[0].j < arc.j
-        earlier = bool(earlier and margin(before[0], before[0].duration) < 0.0)
-        if earlier:
-            [arc] = before
-            begin = float(arc.times[-2])
-        low, high = begin, arc.duration
+        arc, later, arcs = recorder.arcs[-1], 0, recorder.arcs
+        while len(arc.times) == 2 and margin(arc, 0.0) < 0.0 and later + 1 < len(arcs):
+            before = arcs[-2 - later]
+            # An arc may also end where only the parameters change.
+            if not (before.j < arc.j and margin(before, before.duration) < 0.0):
+                break
+            arc, later = before, later + 1
+        low, high = float(arc.times[-2]), arc.duration
         if margin(arc, low) < 0.0:
             high = low
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
-            if margin(arc, middle) < 0.0:
-                high = middle
-            else:
-                low = middle
-        return cut(arc, len(arc.times) - 2, high), earlier
+            low, high = (low, middle) if margin(arc, middle) < 0.0 else (middle, high)
+        return cut(arc, len(arc.times) - 2, high), later
 
     def _margin(self, condition: int, regions: int, arc: Arc, local: float) -> float:
         at = np.array([local])

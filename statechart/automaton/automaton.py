@@ -75,10 +75,10 @@ class Automaton:
     def laws_of_events(self) -> Laws:
         """The laws; raises `Unsupported` if only time stepping can run the model."""
         if self.laws is None:
-            raise Unsupported(
-                f"{self.name!r} runs with time steps only; write --engine impulse --step 1e-3, or "
-                "settings: {engine: impulse, step: 1e-3}"
+            advice = (
+                "write --engine impulse --step 1e-3, or settings: {engine: impulse, step: 1e-3}"
             )
+            raise Unsupported(f"{self.name!r} runs with time steps only; {advice}")
         return self.laws
 
     @property
@@ -124,19 +124,14 @@ class Automaton:
     @cached_property
     def colours(self) -> Mapping[str, Mapping[str, str]]:
         """Region -> state (with declared names) -> colour."""
-        names = [
-            (*region.innermost, *region.states, *map(region.declared, region.states))
-            for region in self.regions
-        ]
+        names = [(*r.innermost, *r.states, *map(r.declared, r.states)) for r in self.regions]
         return dict(zip(self.region_names, region_colours(names), strict=True))
 
     @cached_property
     def invariants(self) -> tuple[Invariant, ...]:
         """Declared assertions about runs, checked on traces."""
-        return tuple(
-            Invariant(label, text, self.observables)
-            for label, text in self.declaration.invariants.items()
-        )
+        declared = self.declaration.invariants.items()
+        return tuple(Invariant(label, text, self.observables) for label, text in declared)
 
     def recorded_regions(self, key: Key) -> tuple[Region, ...]:
         """Return the regions of a key: all, or with `record: poses` the controllers."""
@@ -144,17 +139,13 @@ class Automaton:
 
     def recorded_states(self, key: Key) -> list[tuple[str, ...]]:
         """Return the states of all regions, `NOT_RECORDED` for those missing in a key."""
-        missing = len(self.regions) - len(key)
-        return [(NOT_RECORDED,)] * missing + [
-            region.states for region in self.recorded_regions(key)
-        ]
+        missing = [(NOT_RECORDED,)] * (len(self.regions) - len(key))
+        return missing + [region.states for region in self.recorded_regions(key)]
 
     def label(self, key: Key) -> str:
         """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""
-        return " ".join(
-            f"{region.name}:{state}"
-            for region, state in zip(self.recorded_regions(key), key, strict=True)
-        )
+        states = zip(self.recorded_regions(key), key, strict=True)
+        return " ".join(f"{region.name}:{state}" for region, state in states)
 
     def trace(self, values: Array, **found: Any) -> Trace:
         """Return the trace of a run with parameters `values` (p,)."""
@@ -182,12 +173,9 @@ class Automaton:
         from statechart.formulas.writer import compile_tape
 
         return compile_tape(
-            expressions,
-            variables=(*self.variables, *further),
-            parameters=self.parameters,
-            time=self.time,
-            definitions=mode.definitions if mode else (),
-        )
+            expressions, variables=(*self.variables, *further), parameters=self.parameters,
+            time=self.time, definitions=mode.definitions if mode else (),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

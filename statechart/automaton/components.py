@@ -51,11 +51,7 @@ def split(
     mentions = {entity: _mentioned_names(content, owners) for entity, content in entities.items()}
     mentions |= {("stop", name): _mentioned_names(text, owners) for name, text in stops.items()}
     # Fixed surfaces and conditions of time alone couple nothing.
-    static = {
-        entity
-        for entity, mentioned_entities in mentions.items()
-        if not mentioned_entities and entity[0] in _STILL
-    }
+    static = {entity for entity, named in mentions.items() if not named and entity[0] in _STILL}
     vertices = [entity for entity in mentions if entity not in static]
     edges = [(e, o) for e in vertices for o in mentions[e] if o not in static]
     groups = [set(group) for group in connected_components((vertices, edges))]
@@ -73,16 +69,9 @@ def split(
     groups[0] = groups[0].union(*idle, (e for e in static if e[0] == "stop"))
     declared = [(s, name) for s, x in data.items() if isinstance(x, dict) for name in x]
     declared += (("stop", name) for name in stops)
-    order = {entity: place for place, entity in enumerate(declared)}
-    return [
-        _component_declaration(
-            data,
-            sorted(group.union(*(mentions[e] & static for e in group)), key=order.__getitem__),
-            static,
-            words,
-        )
-        for group in groups
-    ]
+    order = {entity: place for place, entity in enumerate(declared)}.__getitem__
+    groups = [group.union(*(mentions[e] & static for e in group)) for group in groups]
+    return [_component_declaration(data, sorted(g, key=order), static, words) for g in groups]
 
 
 def _component_declaration(
@@ -94,9 +83,8 @@ def _component_declaration(
         for place, (_, name) in enumerate(entities)
     }
     # The names of rates follow from those of the coordinates.
-    rates = {
-        f"d{name}": f"d{names[name]}" for section, name in entities if section == "coordinates"
-    }
+    coordinates = (name for section, name in entities if section == "coordinates")
+    rates = {f"d{name}": f"d{names[name]}" for name in coordinates}
     sections = {section for section, _ in group}
     declaration: Data = {}
     for key, content in data.items():

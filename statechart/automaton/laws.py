@@ -127,18 +127,10 @@ class InstantOf(NamedTuple, Generic[_Setup]):
         self, region: str, cause: str, target: Key, after: Array | None = None, **details: Any
     ) -> Jump:
         """Return a jump from here to a mode, and to the state `after` if it changes."""
-        return Jump(
-            self.clock.high,
-            self.j,
-            region,
-            cause,
-            self.flow.mode,
-            target,
-            self.state,
-            self.state if after is None else after,
-            self.fired,
-            **details,
-        )
+        time, source, before = self.clock.high, self.flow.mode, self.state
+        after = before if after is None else after
+        ends = source, target, before, after
+        return Jump(time, self.j, region, cause, *ends, self.fired, **details)
 
 
 Instant = InstantOf[Setup]

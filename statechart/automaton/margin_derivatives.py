@@ -115,18 +115,12 @@ class MarginDerivatives:
                 used |= new
                 queue += [follows[symbol] for symbol in new if symbol in follows]
             moving = [i for i, v in enumerate(self._variables) if v in used and rates[v] != 0]
-            tapes[margin] = (
-                moving,
-                self._time in used,
-                not expression.has(sp.Abs, sp.sign, sp.Min, sp.Max),
-                compile_tape(
-                    [*(mode.rates[i] for i in moving), expression],
-                    variables=self._variables,
-                    parameters=self._parameters,
-                    time=self._time,
-                    definitions=mode.definitions,
-                ),
-            )
+            smooth = not expression.has(sp.Abs, sp.sign, sp.Min, sp.Max)
+            tape = compile_tape(
+                [*(mode.rates[i] for i in moving), expression], variables=self._variables,
+                parameters=self._parameters, time=self._time, definitions=mode.definitions,
+            )  # fmt: skip
+            tapes[margin] = moving, self._time in used, smooth, tape
         return tapes[margin]
 
 
@@ -157,14 +151,9 @@ def time_derivative(
     expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol
 ) -> sp.Expr:
     """Return the total time derivative of an expression."""
-    return sp.Add(
-        derivative(expression, time),
-        *(
-            derivative(expression, v) * rate
-            for v, rate in rates.items()
-            if v in expression.free_symbols
-        ),
-    )
+    moving = (v for v in rates if v in expression.free_symbols)
+    terms = (derivative(expression, v) * rates[v] for v in moving)
+    return sp.Add(derivative(expression, time), *terms)
 
 
 def _coefficients(expression: sp.Expr) -> list[sp.Expr]:
@@ -176,11 +165,8 @@ def derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
 
     SymPy does so only for provably real arguments, which roots are not.
     """
-    kinks = {
-        node: sp.Dummy(real=True)
-        for node in expression.atoms(sp.Abs, sp.sign, sp.Min, sp.Max)
-        if symbol in node.free_symbols
-    }
+    nonsmooth = expression.atoms(sp.Abs, sp.sign, sp.Min, sp.Max)
+    kinks = {node: sp.Dummy(real=True) for node in nonsmooth if symbol in node.free_symbols}
     if not kinks:
         return sp.diff(expression, symbol)
     if expression not in kinks:

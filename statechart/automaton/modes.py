@@ -25,10 +25,7 @@ from statechart.kernels.reconstruction import (
 
 
 def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) -> Mode:
-    """Solve the equations of `roles`.
-
-    Raises `Singular` if they are structurally singular.
-    """
+    """Solve the equations of `roles`; raise `Singular` if they are structurally singular."""
     plain_roles = uncaptured(roles)
     if plain_roles != roles:
         return hide_captured_forces(automaton, build_mode(automaton, plain_roles, zeros), roles)

@@ -82,10 +82,8 @@ def explore(
     modes: dict[Key, dict[str, Any]] = {}
     for key in keys:
         modes[key] = {"label": automaton.label(key)}
-        entered = not unreached or all(
-            region.nesting.unreached.isdisjoint(region.active(state))
-            for region, state in zip(charts, key, strict=False)
-        )
+        pairs = zip(charts, key, strict=False) if unreached else ()
+        entered = all(r.nesting.unreached.isdisjoint(r.active(state)) for r, state in pairs)
         if key in reasons or not entered:
             reason = reasons.get(key, "") if entered else UNREACHED
             modes[key] |= {"feasible": not reason, "reason": reason}
@@ -132,10 +130,9 @@ def _key_names(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
         try:
             return tuple(named[state] for named, state in zip(names, key, strict=True))
         except (KeyError, ValueError):
-            wanted = ", ".join(region.name for region in automaton.regions)
-            raise StatechartError(
-                f"{automaton.name!r} has no mode {key!r}: a mode is a tuple, a state of {wanted}"
-            ) from None
+            wanted = f"a mode is a tuple, a state of {', '.join(automaton.region_names)}"
+            message = f"{automaton.name!r} has no mode {key!r}: {wanted}"
+            raise StatechartError(message) from None
 
     return shown
 
@@ -149,21 +146,15 @@ def drawn_region(region: Region, *, directions: bool, unreached: bool = False) -
     alike: dict[tuple[str, str, str], list[Edge]] = {}
     for edge in region.edges:
         alike.setdefault((edge.cause, named(edge.source), named(edge.target)), []).append(edge)
-    edges = (
-        Edge(
-            *ends,
-            " or ".join(dict.fromkeys(edge.guard for edge in edges)),
-            " or ".join(dict.fromkeys(edge.reset for edge in edges if edge.reset)),
-        )
-        for ends, edges in alike.items()
-    )
+    edges = []
+    for ends, several in alike.items():
+        guards = dict.fromkeys(edge.guard for edge in several)
+        resets = dict.fromkeys(edge.reset for edge in several if edge.reset)
+        edges.append(Edge(*ends, " or ".join(guards), " or ".join(resets)))
     outside = region.outside if unreached else ()
-    states = (*map(named, region.states), *outside)
-    return replace(
-        region,
-        states=tuple(dict.fromkeys(states)),
-        edges=(*edges, *(edge for state in outside for edge in _declared_edges(region, state))),
-    )
+    edges += [edge for state in outside for edge in _declared_edges(region, state)]
+    states = dict.fromkeys((*map(named, region.states), *outside))
+    return replace(region, states=tuple(states), edges=tuple(edges))
 
 
 def _declared_edges(region: Region, state: str) -> Iterator[Edge]:

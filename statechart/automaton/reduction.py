@@ -103,15 +103,10 @@ def eliminate(
     first = {q: coordinates.rate(e) for q, e in positions.items()}
     rate = dict(zip(coordinates.positions, coordinates.rates, strict=True))
     follows = dict(zip(coordinates.positions, coordinates.accelerations, strict=True))
-    return Elimination(
-        positions,
-        {rate[q]: e.xreplace(anchors) for q, e in first.items()},
-        {follows[q]: coordinates.rate(e).xreplace(anchors) for q, e in first.items()},
-        anchors,
-        replaced,
-        frozenset(forces),
-        any(hold.steep for hold in holds),
-    )
+    rates = {rate[q]: e.xreplace(anchors) for q, e in first.items()}
+    second = {follows[q]: coordinates.rate(e).xreplace(anchors) for q, e in first.items()}
+    steep = any(hold.steep for hold in holds)
+    return Elimination(positions, rates, second, anchors, replaced, frozenset(forces), steep)
 
 
 def _pivot(place: sp.Expr, coordinates: Coordinates) -> tuple[sp.Symbol, sp.Expr] | None:

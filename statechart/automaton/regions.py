@@ -45,12 +45,9 @@ class Margin:
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
         """Return the margin with values substituted for symbols."""
-        expressions = {
-            name: one.xreplace(values)
-            for name in ("expression", "whole", "shown", "coefficient")
-            if (one := getattr(self, name)) is not None
-        }
-        return replace(self, **expressions)
+        names = ("expression", "whole", "shown", "coefficient")
+        own = {name: one for name in names if (one := getattr(self, name)) is not None}
+        return replace(self, **{name: one.xreplace(values) for name, one in own.items()})
 
 
 def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
@@ -59,22 +56,19 @@ def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
     A single atom may be negative while its relation is false. Relations on states of regions are
     omitted.
     """
-    found = {
-        margin.relation or margin.name: Margin(margin.relation, margin.whole)
-        if margin.relation and margin.whole is not None
-        else margin
-        for margin in margins
-        if not margin.relation or margin.whole is not None
-    }
+    found = {}
+    for margin in margins:
+        if not margin.relation:
+            found[margin.name] = margin
+        elif margin.whole is not None:
+            found[margin.relation] = Margin(margin.relation, margin.whole)
     return tuple(found.values())
 
 
 def shown_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
     """Return the margins of whole relations, as the quantities after which they are named."""
-    return tuple(
-        margin if margin.shown is None else replace(margin, expression=margin.shown)
-        for margin in whole_margins(margins)
-    )
+    wholes = whole_margins(margins)
+    return tuple(m if m.shown is None else replace(m, expression=m.shown) for m in wholes)
 
 
 def with_coefficients(margins: Sequence[Margin]) -> tuple[sp.Expr, ...]:
@@ -94,10 +88,9 @@ def margins_of(
     if condition.single:
         return condition, (Margin(name, condition.atoms[0].expression, condition=condition),)
     whole = None if relation.members else relation.margin(known)
-    return condition, tuple(
-        Margin(one, atom.expression, relation=name, whole=whole, condition=condition)
-        for one, atom in zip(names, condition.atoms, strict=True)
-    )
+    pairs = zip(names, condition.atoms, strict=True)
+    own = partial(Margin, relation=name, whole=whole, condition=condition)
+    return condition, tuple(own(one, atom.expression) for one, atom in pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +106,8 @@ def stop_conditions(
     texts: Mapping[str, str], known: Mapping[str, sp.Expr]
 ) -> tuple[StopCondition, ...]:
     """Return the stop conditions of texts over `known` names."""
-    return tuple(
-        StopCondition(name, *margins_of(name, parse_relation(text), known))
-        for name, text in texts.items()
-    )
+    parsed = ((name, parse_relation(text)) for name, text in texts.items())
+    return tuple(StopCondition(name, *margins_of(name, one, known)) for name, one in parsed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,18 +401,12 @@ def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
     for (cause, target, guard, reset, on_zeno), sources in sources_by_edge.items():
         for source in replace_complete_sets(region, sources):
             fans.setdefault((cause, source, guard, on_zeno), {})[target] = reset
-    return tuple(
-        HierarchicalEdge(
-            cause,
-            source,
-            target,
-            guard,
-            tuple(Choice(leaf, targets[leaf]) for leaf in region.within(target)),
-            on_zeno,
-        )
-        for (cause, source, guard, on_zeno), targets in fans.items()
-        for target in replace_complete_sets(region, list(targets))
-    )
+    edges = []
+    for (cause, source, guard, on_zeno), targets in fans.items():
+        for target in replace_complete_sets(region, list(targets)):
+            choices = tuple(Choice(leaf, targets[leaf]) for leaf in region.within(target))
+            edges.append(HierarchicalEdge(cause, source, target, guard, choices, on_zeno))
+    return tuple(edges)
 
 
 def replace_complete_sets(region: Region, states: Sequence[str]) -> list[str]:
@@ -443,9 +428,8 @@ def has_happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     """
     if event.region is None:
         changes = zip(regions, jump.source, jump.target, strict=True)
-        return jump.cause == event.cause or any(
-            event.cause in _causes(region, jump, before, after) for region, before, after in changes
-        )
+        causes = (_causes(region, jump, *change) for region, *change in changes)
+        return jump.cause == event.cause or any(event.cause in own for own in causes)
     wanted = event.region, event.cause
     return any(wanted == (one.owner, one.cause) for one in raised_events(regions, jump))
 
@@ -485,11 +469,8 @@ def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, .
     struck = region.name in jump.impulse
     if before == after and not struck:
         return ()
-    causes = [
-        e.cause
-        for e in region.edges
-        if (e.source, e.target) == (before, after) and (not e.alone or e.cause == jump.cause)
-    ]
+    edges = (edge for edge in region.edges if (edge.source, edge.target) == (before, after))
+    causes = [edge.cause for edge in edges if not edge.alone or edge.cause == jump.cause]
     hit = (region.impact_cause,) if struck and region.impact_cause in causes else ()
     other_causes = [cause for cause in causes if cause != region.impact_cause]
     return (*hit, jump.cause) if jump.cause in other_causes else (*hit, *other_causes[:1])

@@ -57,16 +57,12 @@ class Switches:
         """Return the mode with these signs: 1, -1, `SLIDES` or `RESTS`."""
         count = len(self.mode.margins) - len(self.automaton.stop_margins)
         sliding = [i for i, n in enumerate(signs) if n == SLIDES]
-        known = {
-            s: sp.Integer(n if abs(n) == 1 else 0)
-            for s, n in zip(self.signs, signs, strict=True)
-            if n != SLIDES
-        }
+        pairs = zip(self.signs, signs, strict=True)
+        known = {s: sp.Integer(n if abs(n) == 1 else 0) for s, n in pairs if n != SLIDES}
         # A root of a switching function that stays zero has no slope.
-        held = _solutions(
-            [f for f, n, e in zip(self.functions, signs, self.removable, strict=True)
-             if e and n in (SLIDES, RESTS)], self.automaton.variables,
-        )  # fmt: skip
+        switches = zip(self.functions, signs, self.removable, strict=True)
+        zero = [f for f, n, removable in switches if removable and n in (SLIDES, RESTS)]
+        held = _solutions(zero, self.automaton.variables)
         on_surfaces = [(s, e.xreplace(held)) for s, e in self.definitions]
         definitions, sliding_shares = self._sliding(on_surfaces, sliding, known)
         known |= {self.signs[i]: share for i, share in zip(sliding, sliding_shares, strict=True)}
@@ -84,12 +80,10 @@ class Switches:
                 _margin(f"{SLIDE_ON}{self.texts[i]}, {side}", 1 + sign * share, names)
                 for sign, side in ((-1, "above"), (1, "below"))
             ]
-        return replace(
-            self.mode,
-            definitions=tuple(definitions),
-            rates=tuple(rate.xreplace(known) for rate in self.rates),
-            margins=(*own[:count], *margins, *own[count:]),
-        )
+        rates = tuple(rate.xreplace(known) for rate in self.rates)
+        margins = [*own[:count], *margins, *own[count:]]
+        new: Any = {"definitions": tuple(definitions), "rates": rates, "margins": tuple(margins)}
+        return replace(self.mode, **new)
 
     def _moves(self, function: sp.Expr) -> bool:
         return not function.free_symbols <= {*self.automaton.parameters}
@@ -158,9 +152,8 @@ class Switches:
                 if factor.is_number and factor != 0:
                     fixed[symbol] = -remainder.xreplace(known) / factor
                     break
-        definitions += [
-            (s, blend([corner[s] for corner in corner_symbols])) for s in blended if s not in fixed
-        ]
+        for symbol in (s for s in blended if s not in fixed):
+            definitions.append((symbol, blend([corner[symbol] for corner in corner_symbols])))
         definitions += fixed.items()
         return definitions, shares
 
@@ -250,12 +243,9 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     gradients = len(outputs)
     outputs += [sp.diff(function, v) for function in functions for v in automaton.variables]
     tape = compile_tape(
-        outputs,
-        variables=(*automaton.variables, *reader.signs),
-        parameters=automaton.parameters,
-        time=automaton.time,
-        definitions=definitions,
-    )
+        outputs, variables=(*automaton.variables, *reader.signs), time=automaton.time,
+        parameters=automaton.parameters, definitions=definitions,
+    )  # fmt: skip
     texts = tuple(reader.text(function) for function in functions)
     dependent = _dependent({*reader.signs}, dict(definitions))
     signed = tuple(k for k, rate in enumerate(rates) if rate.free_symbols & dependent)

@@ -111,9 +111,7 @@ def unread(arcs: Sequence[Arc], jumps: Sequence[Jump]) -> Callable[[], list[Arc 
     read = [0, 0]
 
     def place(piece: Arc | Jump) -> tuple[int, int, float]:
-        if isinstance(piece, Arc):
-            return piece.j, 0, piece.start.high
-        return piece.j, 1, piece.t
+        return (piece.j, 0, piece.start.high) if isinstance(piece, Arc) else (piece.j, 1, piece.t)
 
     def fresh() -> list[Arc | Jump]:
         pieces: list[Arc | Jump] = [*arcs[read[0] :], *jumps[read[1] :]]

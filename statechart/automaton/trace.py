@@ -326,10 +326,8 @@ class Trace:
     def require_motion(self) -> None:
         """Raise `StatechartError` if the run recorded only its start and end."""
         if self.record is Record.NOTHING:
-            raise StatechartError(
-                "the run recorded no states between its start and its end; run it with "
-                "--record poses"
-            )
+            message = "the run recorded no states between its start and its end"
+            raise StatechartError(f"{message}; run it with --record poses")
 
     @property
     def zeros(self) -> frozenset[int]:
@@ -343,9 +341,8 @@ class Trace:
             return dict(self.undetermined)
         contacts: dict[Key, tuple[str, ...]] = {}
         for arc in self.arcs:
-            open_ones = zip(self.regions, arc.roles, strict=False)
-            names = tuple(name for name, role in open_ones if role.share is not None)
-            if names:
+            roles = zip(self.regions, arc.roles, strict=False)
+            if names := tuple(name for name, role in roles if role.share is not None):
                 contacts[arc.mode] = names
         return contacts
 

@@ -65,10 +65,9 @@ class Blocks(Generic[B]):
             try:
                 self._blocks[self._written :] = _on_disk(self._blocks[self._written :])
             except OSError as error:
-                raise TooLong(
-                    f"a trace of {self._size >> 20} MB is more than is kept in memory, and the "
-                    f"disk does not take it ({error.strerror}); end the run earlier"
-                ) from None
+                trace = f"a trace of {self._size >> 20} MB is more than is kept in memory"
+                disk = f"the disk does not take it ({error.strerror})"
+                raise TooLong(f"{trace}, and {disk}; end the run earlier") from None
             self._written, self._bytes = len(self._blocks), 0
 
 
@@ -322,7 +321,4 @@ def jump_times(jumps: Sequence[Jump]) -> list[float]:
 
 def _width(terms: Array) -> int:
     """Return the number of leading terms of polynomials that are not all zero, at least one."""
-    width = terms.shape[2]
-    while width > 1 and not terms[:, :, width - 1].any():
-        width -= 1
-    return width
+    return int(np.flatnonzero(terms.any(axis=(0, 1))).max(initial=0)) + 1

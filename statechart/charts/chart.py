@@ -186,13 +186,12 @@ class Chart(Declaration):
         for name, _, loc in self._flows():
             owner = owners.setdefault(name, loc)
             if owner[1] != loc[1]:
-                raise DeclarationProblem(
+                message = (
                     f"region {loc[1]!r} in state {loc[-3]!r} and region {owner[1]!r} in state "
-                    f"{owner[-3]!r} both give {name!r} a flow, the other as {{see}}",
-                    advice="let one region own the variable",
-                    key=loc,
-                    see=owner,
+                    f"{owner[-3]!r} both give {name!r} a flow, the other as {{see}}"
                 )
+                advice = "let one region own the variable"
+                raise DeclarationProblem(message, advice=advice, key=loc, see=owner)
         for region, flat in self.flat.items():
             if shared := flat.shared("flows"):
                 name, one, other = shared

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, product
 from math import prod
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from statechart.automaton.regions import (
     DONE,
@@ -38,11 +38,7 @@ MAX_CONFIGURATIONS = 4096
 
 
 def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
-    """Flatten a declared region.
-
-    Raises `DeclarationProblem` if its states or transitions are inconsistent (see `tree`), or if
-    there are more than `MAX_CONFIGURATIONS`.
-    """
+    """Flatten a declared region into at most `MAX_CONFIGURATIONS`; see `tree`."""
     return FlatRegion(name, tree(region, *loc), loc)
 
 
@@ -66,41 +62,25 @@ class FlatRegion:
             if arrow.declared.period is not None
         }
         self._counts = {
-            place: f"{name}.{found.arrows[place].declared.name}_count"
-            for place in self._clocks
-            if (declared := found.arrows[place].declared).every is not None
-            or declared.internal
-            or found.arrows[place].target < 0
+            place: f"{name}.{arrow.declared.name}_count"
+            for place, arrow in ((place, found.arrows[place]) for place in self._clocks)
+            if arrow.declared.every is not None or arrow.declared.internal or arrow.target < 0
         }
         self.clocks, self.counts = tuple(self._clocks.values()), tuple(self._counts.values())
-        rank = {node: place for place, node in enumerate(found.inner_first)}
-        self._ranks = sorted(
-            range(len(found.arrows)), key=lambda place: (rank[found.arrows[place].source], place)
-        )
+        rank, places = found.inner_first.index, range(len(found.arrows))
+        self._ranks = sorted(places, key=lambda place: (rank(found.arrows[place].source), place))
         # While its parent is active, only transitions that do not exit it can read a history.
-        self._remembered = {
-            arrow.target
-            for arrow in found.arrows
-            if arrow.target >= 0
-            and found.nodes[arrow.target].sort in HISTORIES
-            and (
-                found.holds(parent := found.nodes[arrow.target].parent, arrow.source)
-                or (arrow.declared.internal and arrow.source == parent)
-            )
-        }
-        begin, nodes = initial_entry(found), found.nodes
+        begin, nodes, self._remembered = initial_entry(found), found.nodes, set[int]()
+        for arrow in found.arrows:
+            if arrow.target >= 0 and nodes[arrow.target].sort in HISTORIES:
+                parent, source = nodes[arrow.target].parent, arrow.source
+                if found.holds(parent, source) or (arrow.declared.internal and source == parent):
+                    self._remembered.add(arrow.target)
         self.initial = self._name_of(begin.active, {})
         self.begins = tuple(filter(None, (self._entry_updates(node) for node in begin.entries)))
         self.transitions = self._transitions()
         self.states = {name: self._contents(active) for name, (active, _) in self._named.items()}
-        self.triggers = {
-            name: tuple(
-                Trigger(place, arrow.declared, arrow.declared.events, self._guard(place))
-                for place in self._ranks
-                if (arrow := found.arrows[place]).source in active
-            )
-            for name, (active, _) in self._named.items()
-        }
+        self.triggers = {name: self._triggers(active) for name, (active, _) in self._named.items()}
         self.superstates = {
             node.name: nodes[node.parent].name
             for node in nodes
@@ -128,9 +108,7 @@ class FlatRegion:
 
     def flows(self, state: str) -> dict[str, FiniteText]:
         """Return the flows of a configuration; inner states override outer ones."""
-        return {
-            name: flow for content in self.states[state] for name, flow in content.flows.items()
-        }
+        return dict(flow for content in self.states[state] for flow in content.flows.items())
 
     def active(self, state: str) -> tuple[str, ...]:
         """Return the states of a configuration and their ancestors."""
@@ -199,6 +177,11 @@ class FlatRegion:
             self._taken[name, taken] = self._transition(name, target, step)
         return self._taken[name, taken]
 
+    def _triggers(self, active: Nodes) -> tuple[Trigger, ...]:
+        ranked = ((place, self._tree.arrows[place]) for place in self._ranks)
+        out = ((place, arrow.declared) for place, arrow in ranked if arrow.source in active)
+        return tuple(Trigger(place, one, one.events, self._guard(place)) for place, one in out)
+
     def _contents(self, active: Nodes) -> tuple[BaseState, ...]:
         holders = (self._tree.nodes[node].declared for node in sorted(active))
         return tuple(holder for holder in holders if isinstance(holder, BaseState))
@@ -223,25 +206,16 @@ class FlatRegion:
         yield from dict.fromkeys(taken for taken in together if len(taken) > 1)
 
     def _transition(self, source: str, target: str, step: Microstep) -> FlatTransition:
-        members = tuple(self._tree.arrows[place].declared for place in step.taken)
-        blocks: list[Updates] = [
-            getattr(self._tree.nodes[node].declared, "exit", {}) for node in step.exits
-        ]
+        nodes, members = self._tree.nodes, [self._tree.arrows[k].declared for k in step.taken]
+        blocks: list[Updates] = [getattr(nodes[n].declared, "exit", {}) for n in step.exits]
         for place, member in zip(step.taken, members, strict=True):
-            updates = dict(member.updates)
             count = self._counts.get(place)
-            if count is not None:
-                updates[count] = f"{count} + 1"
-            blocks.append(updates)
+            counted: Updates = {} if count is None else {count: f"{count} + 1"}
+            blocks.append({**member.updates, **counted})
         blocks += [self._entry_updates(node) for node in step.entries]
-        return FlatTransition(
-            "+".join(member.name for member in members),
-            source,
-            target,
-            members,
-            self._guard(step.taken[0]),
-            tuple(filter(None, blocks)),
-        )
+        name, guard = "+".join(member.name for member in members), self._guard(step.taken[0])
+        updates = tuple(filter(None, blocks))
+        return FlatTransition(name, source, target, tuple(members), guard, updates)
 
     def _guard(self, place: int) -> str | None:
         """Return the relation that fires an arrow; None where an event does."""
@@ -293,13 +267,8 @@ class FlatRegion:
             if (found.nodes[history].parent not in active or history in self._remembered)
             and remembered != self._default(history)
         }
-        words = [
-            f"{found.nodes[history].name}={self._joined(remembered)}"
-            for history, remembered in shown.items()
-        ]
-        name = self._joined(atomic_states(found, active)) + (
-            f"[{', '.join(words)}]" if words else ""
-        )
+        words = ", ".join(f"{found.nodes[h].name}={self._joined(r)}" for h, r in shown.items())
+        name = self._joined(atomic_states(found, active)) + (f"[{words}]" if words else "")
         self._named.setdefault(name, (active, shown))
         if len(self._named) > MAX_CONFIGURATIONS:
             raise self._too_many("configurations")
@@ -323,39 +292,29 @@ class FlatRegion:
         exits = {name: state.exit for name, state in states.items() if state.exit}
         # Only states of charts and of controllers have flows.
         flows = {name: found for name, s in states.items() if (found := getattr(s, "flows", {}))}
+        final = frozenset(n.name for n in nodes if n.final)
+        ended = {name: self._tree.done(active) for name, (active, _) in self._named.items()}
+        done = {
+            n: tuple(nodes[k].name or self.name for k in own) for n, own in ended.items() if own
+        }
         flat = Nesting(
-            names,
-            entries=entries,
-            exits=exits,
-            edges=tuple(self._hierarchical_edges()),
-            unreached=unreached,
-            flows=flows,
-            final=frozenset(n.name for n in nodes if n.final),
-            done={
-                name: tuple(nodes[node].name or self.name for node in done)
-                for name, (active, _) in self._named.items()
-                if (done := self._tree.done(active))
-            },
-        )
+            names, entries=entries, exits=exits, edges=tuple(self._hierarchical_edges()),
+            unreached=unreached, flows=flows, final=final, done=done,
+        )  # fmt: skip
         if self._tree.flat:
             return flat
+        atomic = {n: atomic_states(self._tree, active) for n, (active, _) in self._named.items()}
+        histories = {}
+        for node in (n for n in nodes if n.sort in HISTORIES):
+            depth: Literal["deep", "shallow"] = "deep" if node.sort is Sort.DEEP else "shallow"
+            initial = nodes[node.initial if node.initial >= 0 else node.parent].name
+            histories[node.name] = History(depth, nodes[node.parent].name, initial)
         return replace(
             flat,
-            configurations={
-                name: tuple(nodes[leaf].name for leaf in atomic_states(self._tree, active))
-                for name, (active, _) in self._named.items()
-            },
+            configurations={n: tuple(nodes[k].name for k in own) for n, own in atomic.items()},
             initial={n.name: nodes[n.initial].name for n in nodes if n.sort is Sort.COMPOUND},
             parallel=frozenset(n.name for n in nodes if n.sort is Sort.PARALLEL),
-            histories={
-                n.name: History(
-                    "deep" if n.sort is Sort.DEEP else "shallow",
-                    nodes[n.parent].name,
-                    nodes[n.initial if n.initial >= 0 else n.parent].name,
-                )
-                for n in nodes
-                if n.sort in HISTORIES
-            },
+            histories=histories,
         )
 
     def _entered_names(self) -> set[str]:
@@ -374,27 +333,18 @@ class FlatRegion:
             declared = arrow.declared
             target = declared.target or declared.source
             reset = ", ".join(f"{name} := {update}" for name, update in declared.updates.items())
-            choice = Choice(target, reset)
+            ends = declared.name, declared.source, target, declared.trigger
+            events = (".".join(filter(None, (e.region, e.cause))) for e in declared.events)
+            guard, static = declared.guard if declared.events else None, declared.target is None
             yield HierarchicalEdge(
-                declared.name,
-                declared.source,
-                target,
-                declared.trigger,
-                (choice,),
-                declared.on_zeno,
-                declared.updates,
-                tuple(".".join(filter(None, (e.region, e.cause))) for e in declared.events),
-                declared.guard if declared.events else None,
-                declared.target is None,
-                declared.internal or declared.target is None,
-            )
+                *ends, (Choice(target, reset),), declared.on_zeno, declared.updates,
+                tuple(events), guard, static, declared.internal or static,
+            )  # fmt: skip
 
     def _too_many(self, what: str) -> DeclarationProblem:
-        return DeclarationProblem(
-            f"more than {MAX_CONFIGURATIONS} {what} of {self.name!r}",
-            advice="make regions of a state regions of the model: these are not multiplied",
-            key=self._loc,
-        )
+        message = f"more than {MAX_CONFIGURATIONS} {what} of {self.name!r}"
+        advice = "make regions of a state regions of the model: these are not multiplied"
+        return DeclarationProblem(message, advice=advice, key=self._loc)
 
 
 Updates = Mapping[str, FiniteText]
@@ -536,13 +486,8 @@ def microstep(tree: Tree, active: Nodes, histories: Histories, taken: Iterable[i
             _add_descendants(tree, arrow.target, entered, updated)
             for target in _effective_targets(tree, updated, arrow.target):
                 _add_ancestors(tree, target, domain, entered, updated)
-    return Microstep(
-        taken,
-        tuple(sorted(exited, reverse=True)),
-        tuple(sorted(entered)),
-        (active - exited) | entered,
-        updated,
-    )
+    exits, entries = tuple(sorted(exited, reverse=True)), tuple(sorted(entered))
+    return Microstep(taken, exits, entries, (active - exited) | entered, updated)
 
 
 def _exit_set(tree: Tree, active: Nodes, histories: Histories, place: int) -> Nodes:

@@ -20,6 +20,7 @@ that one event, or guards at one instant, fire in orthogonal regions of a state 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
@@ -48,6 +49,7 @@ from statechart.automaton.regions import (
 )
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
+from statechart.documents.outputs import Event
 from statechart.errors import NonFinite
 from statechart.formulas.condition import Active, AtomsAt, Condition
 from statechart.formulas.formula import parse
@@ -95,9 +97,7 @@ class GuardWatch:
         self.atoms: list[_AtomTapes] = []
         names: list[str] = []
         firsts: list[int] = []
-        timed: list[bool] = []
-        scheduled: list[bool] = []
-        closed: list[bool] = []
+        kinds: list[tuple[bool, bool, bool]] = []
         self.of_state = set[str]()
         order = {v: place for place, v in enumerate(rates)}
         for guard, condition in zip(self.guards, self.conditions, strict=True):
@@ -111,14 +111,12 @@ class GuardWatch:
                 found = _atom_tapes(margin, moving, tuple(inputs), tuple(parameters), time)
                 self.atoms.append(found)
                 alone = free_symbols(margin) <= {time, *timers, *parameters}
-                timed.append(alone and not found.kinked)
-                scheduled.append(all(r == 0 for _, r in moving) and not found.kinked)
+                scheduled = all(r == 0 for _, r in moving) and not found.kinked
+                kinds.append((alone and not found.kinked, scheduled, not atom.strict))
                 if not alone:
                     self.of_state.add(guard.name)
-                closed.append(not atom.strict)
         self.margins, self.firsts = tuple(names), tuple(firsts)
-        self.timed, self.closed = np.array(timed, np.bool_), np.array(closed, np.bool_)
-        self.scheduled = np.array(scheduled, np.bool_)
+        self.timed, self.scheduled, self.closed = np.array(kinds, np.bool_).reshape(-1, 3).T
 
     def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
         """Return (a, 2): margins, and the sizes of their terms."""
@@ -196,10 +194,8 @@ class GuardWatch:
                 continue
             margin, size = rows[first]
             if guard.name not in fired and margin > _ZERO_MARGIN * size:
-                return (
-                    f"{guard.name} counts as true: it is {margin:.2g} short of it, within the "
-                    "tolerance of the run"
-                )
+                short = f"it is {margin:.2g} short of it, within the tolerance of the run"
+                return f"{guard.name} counts as true: {short}"
         return ""
 
 
@@ -254,12 +250,9 @@ def tape_with_sizes(
 ) -> Tape:
     """Compile expressions and then the sizes of their terms, in inputs and then their sizes."""
     sizes = {v: sp.Symbol(f"size_{v.name}", real=True) for v in inputs}
-    return compile_tape(
-        [*expressions, *(rounding_scale(expression, sizes) for expression in expressions)],
-        variables=(*inputs, *sizes.values()),
-        parameters=parameters,
-        time=time,
-    )
+    outputs = [*expressions, *(rounding_scale(one, sizes) for one in expressions)]
+    variables = (*inputs, *sizes.values())
+    return compile_tape(outputs, variables=variables, parameters=parameters, time=time)
 
 
 class GuardTruths:
@@ -322,16 +315,14 @@ class GuardTruths:
         A guard of several atoms that the flow reached may be true at this instant only.
         """
         atoms, active = self._atoms, self._active
-        return {
-            (guard.place, guard.trigger)
-            for guard, condition, first in self._watch.placed
-            if atoms.truth(condition, first, active)
-            or (
-                not condition.single
-                and any(first <= k < first + len(condition.atoms) for k in self._fell)
-                and atoms.touched(condition, first, active)
-            )
-        }
+        found = set()
+        for guard, condition, first in self._watch.placed:
+            reached = any(first <= k < first + len(condition.atoms) for k in self._fell)
+            if atoms.truth(condition, first, active) or (
+                reached and not condition.single and atoms.touched(condition, first, active)
+            ):
+                found.add((guard.place, guard.trigger))
+        return found
 
     def continued(self) -> tuple[None, Flow] | None:
         """Return the flow if it goes on and other atoms certify it: it watches these only."""
@@ -371,22 +362,15 @@ class Firing(NamedTuple):
 
 def guards(place: int, region: FlatRegion, state: str) -> list[Guard]:
     """Return the guards that fire transitions out of `state`, with distinct names."""
-    found = [(t, t.guard) for t in region.triggers[state] if t.guard is not None]
-    names = [trigger.declared.name for trigger, _ in found]
-    return [
-        Guard(
-            place,
-            f"{region.name}.{trigger.declared.name}"
-            + (
-                f" to {region.answer(state, (trigger.place,)).target}"
-                if names.count(trigger.declared.name) > 1
-                else ""
-            ),
-            parse_relation(guard),
-            trigger.place,
-        )
-        for trigger, guard in found
-    ]
+    found = [t for t in region.triggers[state] if t.guard is not None]
+    names = Counter(trigger.declared.name for trigger in found)
+    made = []
+    for trigger in found:
+        name = f"{region.name}.{trigger.declared.name}"
+        if names[trigger.declared.name] > 1:
+            name += f" to {region.answer(state, (trigger.place,)).target}"
+        made.append(Guard(place, name, parse_relation(str(trigger.guard)), trigger.place))
+    return made
 
 
 def guards_at_events(place: int, region: FlatRegion, state: str) -> list[Guard]:
@@ -402,19 +386,14 @@ def guard_margins(
     declared: FlatRegion, state: str, known: Mapping[str, sp.Expr]
 ) -> tuple[Margin, ...]:
     """Return the margins of the guards out of `state`, one per atom."""
-    return tuple(
-        margin
-        for guard in guards(0, declared, state)
-        for margin in margins_of(guard.name, guard.relation, known)[1]
-    )
+    own = guards(0, declared, state)
+    return tuple(m for g in own for m in margins_of(g.name, g.relation, known)[1])
 
 
 def guard_claims(declared: FlatRegion, state: str) -> tuple[Claim, ...]:
     """Return the claims that no guard out of `state` is true while it is active."""
-    return tuple(
-        Claim(guard.name, (guard.relation.text,), holds=False)
-        for guard in guards(0, declared, state)
-    )
+    own = guards(0, declared, state)
+    return tuple(Claim(guard.name, (guard.relation.text,), holds=False) for guard in own)
 
 
 def values_after(
@@ -474,6 +453,10 @@ def transition_outcomes(region: Region) -> Callable[[FlatTransition], Mapping[st
     return of
 
 
+def _answers(event: Raised, awaited: Iterable[Event], region: FlatRegion) -> bool:
+    return any(event.answers(one, region.name, region.done) for one in awaited)
+
+
 class EventQueues:
     """Event queues of the regions in `declared` that wait for events of `regions`."""
 
@@ -496,13 +479,14 @@ class EventQueues:
             for name, causes in self._waiting.items()
         }
 
-    def waits(self, mode: Key) -> bool:
-        """Return whether a region waits for an event in its state of `mode`."""
-        return any(
-            trigger.events
+    def sources(self, mode: Key) -> set[str | None]:
+        """Return the regions for whose events regions wait in `mode`; None is any region."""
+        return {
+            event.region
             for region, state in zip(self._declared.values(), mode, strict=True)
             for trigger in region.triggers[state]
-        )
+            for event in trigger.events
+        }
 
     def first(
         self,
@@ -519,27 +503,18 @@ class EventQueues:
         for place, ((name, region), state) in enumerate(declared):
             queue = pending.get(name, ())
             for k, event in enumerate(queue):
-                enabled = [
-                    trigger
-                    for trigger in region.triggers[state]
-                    if any(event.answers(e, name, region.done) for e in trigger.events)
-                ]
+                enabled = [t for t in region.triggers[state] if _answers(event, t.events, region)]
                 if any(trigger.declared.guard is not None for trigger in enabled):
                     true = holding()
                     enabled = [
-                        trigger
-                        for trigger in enabled
-                        if trigger.declared.guard is None or (place, trigger.place) in true
+                        t for t in enabled if t.declared.guard is None or (place, t.place) in true
                     ]
                 if enabled:
                     taken = region.answer(state, [trigger.place for trigger in enabled])
                     # Alternative events of a transition at one instant fire it once.
                     consumed = [e for trigger in enabled for e in trigger.events]
-                    later = tuple(
-                        other
-                        for other in queue[k + 1 :]
-                        if not any(other.answers(e, name, region.done) for e in consumed)
-                    )
+                    rest = queue[k + 1 :]
+                    later = tuple(other for other in rest if not _answers(other, consumed, region))
                     return Firing(place, taken, {**pending, name: later}, frozenset())
             due = frozenset(one for one in guarded if one[0] == place)
             if due:

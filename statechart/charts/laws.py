@@ -59,6 +59,7 @@ def automaton(chart: Chart) -> Automaton:
     declared, chart = chart, chart.expanded
     symbols = _Symbols(chart, declared)
     regions = tuple(_region(name, region, symbols) for name, region in chart.flat.items())
+    whole = chart is declared and not chart.switching
     return Automaton(
         name=chart.name,
         declaration=declared,
@@ -77,11 +78,7 @@ def automaton(chart: Chart) -> Automaton:
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
         switching=chart.switching,
-        components=(
-            tuple
-            if chart.switching or chart is not declared
-            else cache(partial(components, chart, automaton))
-        ),
+        components=cache(partial(components, chart, automaton)) if whole else tuple,
     )
 
 
@@ -101,26 +98,19 @@ class _Symbols:
             lambda known: {},
             lambda known: [parse(text).to_sympy(known) for text in starts.values()],
         )
-        self.known: Mapping[str, sp.Symbol] = {
-            **self.variables,
-            **self.parameters.symbols,
-            TIME: self.time,
-        }
+        symbols = {**self.variables, **self.parameters.symbols}
+        self.known: Mapping[str, sp.Symbol] = {**symbols, TIME: self.time}
         self.flow = cache(lambda text: parse(text).to_sympy(self.known))
 
     def setup(self, overrides: Mapping[str, float], relative: float) -> Setup:
-        """Evaluate parameters and the initial state.
-
-        Raises `DeclarationProblem` for a period that is not positive, or a start that is infinite.
-        """
+        """Evaluate parameters and the initial state; check that periods and start are finite."""
         values, initial = self.parameters.values(overrides)
         if overrides:
             check_all(self.period_checks, self.declared.values(overrides))
         for name, value in zip(self.variables, initial, strict=True):
             if not np.isfinite(value):
-                raise DeclarationProblem(
-                    f"the initial value of {name!r} is not finite", loc=("variables", name)
-                )
+                message = f"the initial value of {name!r} is not finite"
+                raise DeclarationProblem(message, loc=("variables", name))
         return Setup(values, initial, {"plain": 0.0}, math.sqrt(relative))
 
 
@@ -129,32 +119,17 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
     def state(state: str) -> State:
         if state == HELD:
             return State()
-        return State(
-            tuple(
-                symbols.rates[variable] - symbols.flow(flow)
-                for variable, flow in flat.flows(state).items()
-            ),
-            guard_margins(flat, state, symbols.known),
-            tuple(
-                Invariant(f"{name}.{label}", text, symbols.known)
-                for content in flat.states[state]
-                if isinstance(content, DeclaredState)
-                for label, text in content.invariants.items()
-            ),
-        )
+        rates = (symbols.rates[v] - symbols.flow(flow) for v, flow in flat.flows(state).items())
+        contents = (c for c in flat.states[state] if isinstance(c, DeclaredState))
+        named = (pair for content in contents for pair in content.invariants.items())
+        invariants = (Invariant(f"{name}.{label}", text, symbols.known) for label, text in named)
+        return State(tuple(rates), guard_margins(flat, state, symbols.known), tuple(invariants))
 
     def build(role: Role) -> State:
         return state(role.state)
 
-    return Region(
-        name,
-        flat.ordered,
-        build,
-        flat.edges,
-        flat.superstates,
-        nesting=flat.nesting,
-        claims=partial(guard_claims, flat),
-    )
+    own = flat.ordered, build, flat.edges, flat.superstates
+    return Region(name, *own, nesting=flat.nesting, claims=partial(guard_claims, flat))
 
 
 class ChartLaws:
@@ -234,16 +209,11 @@ class ChartLaws:
         path = () if taken.guard is not None or taken.on_zeno else (taken.trigger,)
         jump = at.jump(name, taken.name, target, after, path=path, considered=considered)
         held = {region: end for region, end in flow.held.items() if region != name}
+        states = zip(self._regions, target, strict=True)
+        roles = tuple(Role(HELD if region in held else now) for region, now in states)
+        pending = self._queues.pending_after(pending, jump)
         following = flow._replace(
-            mode=target,
-            roles=tuple(
-                Role(HELD if region in held else now)
-                for region, now in zip(self._regions, target, strict=True)
-            ),
-            held=held,
-            summed=summed,
-            pending=self._queues.pending_after(pending, jump),
-            signs=(),
+            mode=target, roles=roles, held=held, summed=summed, pending=pending, signs=()
         )
         return jump, self._with_tolerances(setup, clock, following, after)
 
@@ -263,19 +233,16 @@ class ChartLaws:
         jump = jumps[-1]
         place = self._regions.index(jump.region)
         edge = (jump.cause, jump.source[place], jump.target[place])
-        waiting = [
-            t for t in self._flat[jump.region].transitions if t.guard is None and not t.on_zeno
-        ]
+        transitions = self._flat[jump.region].transitions
+        waiting = (t for t in transitions if t.guard is None and not t.on_zeno)
         if any((t.name, t.source, t.target) == edge for t in waiting):
             return None  # the events that it waits for accumulate in their own region
         if jump.target[place] not in self._zeno[place]:
             if any(past.target[place] in self._zeno[place] for past in jumps):
                 return None  # the jumps into that state accumulate too
-            raise Zeno(
-                f"{jump.region}: '{jump.cause}' accumulates at "
-                f"t = {clock.later(rest).high:.6g}; declare a transition 'on: zeno' "
-                f"from '{jump.target[place]}'"
-            )
+            what = f"'{jump.cause}' accumulates at t = {clock.later(rest).high:.6g}"
+            advice = f"declare a transition 'on: zeno' from '{jump.target[place]}'"
+            raise Zeno(f"{jump.region}: {what}; {advice}")
         return replace(jump, skipped=rest), flow._replace(
             roles=(*flow.roles[:place], Role(HELD), *flow.roles[place + 1 :]),
             held={**flow.held, jump.region: clock.later(rest)},
@@ -329,15 +296,11 @@ class ChartLaws:
         return self._watched(found, {})
 
     def _watched(self, guards: Sequence[Guard], rates: Mapping[sp.Symbol, sp.Expr]) -> GuardWatch:
+        symbols = self._symbols
         return GuardWatch(
-            guards,
-            self._condition,
-            rates,
-            inputs=tuple(self._symbols.variables.values()),
-            parameters=self._symbols.parameters.ordered,
-            time=self._symbols.time,
-            timers=self._symbols.timers,
-        )
+            guards, self._condition, rates, inputs=tuple(symbols.variables.values()),
+            parameters=symbols.parameters.ordered, time=symbols.time, timers=symbols.timers,
+        )  # fmt: skip
 
     def _guards_and_rates(
         self, place: int, state: str
@@ -363,12 +326,9 @@ class ChartLaws:
         tape = self._updates.get(key)
         if tape is None:
             symbols = self._symbols
-            tape = self._updates[key] = tape_with_sizes(
-                tuple(values_after(blocks, symbols.variables, symbols.known)),
-                tuple(symbols.variables.values()),
-                symbols.parameters.ordered,
-                symbols.time,
-            )
+            values = tuple(values_after(blocks, symbols.variables, symbols.known))
+            own = tuple(symbols.variables.values()), symbols.parameters.ordered, symbols.time
+            tape = self._updates[key] = tape_with_sizes(values, *own)
         found = tape.values(np.concatenate([state, sizes]), setup.values, clock.high)
         after, summed = found[: len(state)], found[len(state) :]
         check_updated(cause, self._symbols.variables, after)
@@ -378,9 +338,8 @@ class ChartLaws:
 def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Component, ...]:
     """Return the independent components of a chart; none if it is connected."""
     data = chart.model_dump(by_alias=True, exclude_unset=True)
-    parts = split(
-        data, ("variables", "regions"), ("regions",), Path(__file__).with_name("schema.json")
-    )
+    schema = Path(__file__).with_name("schema.json")
+    parts = split(data, ("variables", "regions"), ("regions",), schema)
 
     def composed(part: Data) -> Automaton:
         declared = Chart.model_validate(part)
@@ -388,21 +347,15 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
             raise Unsupported("a part without variables has no automaton of its own")
         return compose(declared)
 
+    def form(part: Data) -> Data:
+        return {**part, "variables": list(part.get("variables", ()))}
+
     try:
-        return compose_components(
-            parts,
-            lambda part: {**part, "variables": list(part.get("variables", ()))},
-            composed,
-            lambda _: _restricted,
-        )
+        return compose_components(parts, form, composed, lambda _: _restricted)
     except (StatechartError, ValidationError):
         return ()
 
 
 def _restricted(whole: Setup, places: Places) -> Setup:
-    return replace(
-        whole,
-        values=whole.values[places.parameters],
-        initial=whole.initial[places.variables],
-        modes=None,
-    )
+    values, initial = whole.values[places.parameters], whole.initial[places.variables]
+    return replace(whole, values=values, initial=initial, modes=None)

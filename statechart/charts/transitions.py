@@ -120,11 +120,9 @@ class Transition(fields.Part):
                     advice = SEVERAL_SOURCES if key == "from" else "write the state it enters"
                     raise DeclarationProblem("is one state, not a list", advice=advice, loc=(key,))
             if isinstance(value.get("guard"), bool):
-                raise DeclarationProblem(
-                    f"is a relation, not {str(value['guard']).lower()}",
-                    advice="write x <= 0; time >= 0 always holds",
-                    loc=("guard",),
-                )
+                message = f"is a relation, not {str(value['guard']).lower()}"
+                advice = "write x <= 0; time >= 0 always holds"
+                raise DeclarationProblem(message, advice=advice, loc=("guard",))
         return value
 
     @model_validator(mode="after")
@@ -293,9 +291,8 @@ def check_changes(
                     advice = f"{unset}; declare a variable of another name"
                 else:
                     advice = undeclared(variable, variables)
-                raise DeclarationProblem(
-                    f"no variable {variable!r}{of}", advice=advice, key=(*at, variable)
-                )
+                message = f"no variable {variable!r}{of}"
+                raise DeclarationProblem(message, advice=advice, key=(*at, variable))
             names = {*known, *controls} if at[-1] == "flows" else known
             fields.check_names(parse(text), names, *at, variable)
 
@@ -321,12 +318,9 @@ def check_periods(
         for loc, period in periods_in(region, "regions", name):
             for node in names_in(parse(period).root):
                 if node.name in changing:
-                    raise DeclarationProblem(
-                        f"{node.name!r} changes during a run, and a period is constant",
-                        advice="write a guard on a variable with the flow 1",
-                        loc=loc,
-                        offset=node.offset,
-                    )
+                    message = f"{node.name!r} changes during a run, and a period is constant"
+                    advice = "write a guard on a variable with the flow 1"
+                    raise DeclarationProblem(message, advice=advice, loc=loc, offset=node.offset)
             fields.check_names(parse(period), known, *loc)
 
 
@@ -365,11 +359,9 @@ def check_listening(
             heard = {*alone}.union(*others.values())
             own = event.cause in {*causes.get(region, ())} - heard and event.region is None
             if event.cause == "done" and event.region in {*states.get(region, ())} - {*others}:
-                raise DeclarationProblem(
-                    f"{event.region!r} is never done: it holds no final state",
-                    advice="write {final: true} for the last of its states",
-                    loc=loc,
-                )
+                message = f"{event.region!r} is never done: it holds no final state"
+                advice = "write {final: true} for the last of its states"
+                raise DeclarationProblem(message, advice=advice, loc=loc)
             if event.region == region or own:
                 raise DeclarationProblem(
                     f"{region!r} waits for an event of its own",

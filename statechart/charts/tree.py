@@ -12,15 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from statechart.charts.transitions import (
-    SEVERAL_SOURCES,
-    BaseRegion,
-    BaseState,
-    Holder,
-    Transition,
-    declared_transitions,
-    nested,
-)
+from statechart.charts import transitions
 from statechart.errors import DeclarationProblem, Loc, close_matches
 
 
@@ -50,19 +42,19 @@ class Node:
     children: tuple[int, ...]  # without histories
     histories: tuple[int, ...]
     initial: int  # default entry, also of an empty history; -1 where all regions are entered
-    declared: Holder
+    declared: transitions.Holder
 
     @property
     def final(self) -> bool:
         """True if entering it completes its parent."""
-        return isinstance(self.declared, BaseState) and self.declared.final
+        return isinstance(self.declared, transitions.BaseState) and self.declared.final
 
 
 @dataclass(frozen=True, eq=False)
 class Arrow:
     """A transition between nodes; `target` is -1 if it exits no state."""
 
-    declared: Transition
+    declared: transitions.Transition
     source: int
     target: int
 
@@ -131,23 +123,20 @@ class Tree:
         return meet not in (one, other) and self.nodes[meet].sort is Sort.PARALLEL
 
 
-def tree(region: BaseRegion, *loc: str | int) -> Tree:
-    """Return the tree of a declared region.
-
-    Raises `DeclarationProblem` if names are not unique, a compound state has no initial state, a
-    history has no parent, or a transition has an unknown or orthogonal source or target.
-    """
-    entries: list[tuple[str, Holder, Loc]] = [("", region, loc), *nested(region, *loc)]
+def tree(region: transitions.BaseRegion, *loc: str | int) -> Tree:
+    """Return the tree of a declared region; raise `DeclarationProblem` if it is inconsistent."""
+    entries: list[tuple[str, transitions.Holder, Loc]] = [
+        ("", region, loc),
+        *transitions.nested(region, *loc),
+    ]
     places: dict[str, int] = {}
     for index, (name, holder, at) in enumerate(entries):
         if name in places:
-            raise DeclarationProblem(
-                f"a second state {name!r} of the region",
-                advice="names of states are unique in a region; choose another",
-                key=at,
-            )
+            message = f"a second state {name!r} of the region"
+            advice = "names of states are unique in a region; choose another"
+            raise DeclarationProblem(message, advice=advice, key=at)
         places[name] = index
-        if isinstance(holder, BaseState):
+        if isinstance(holder, transitions.BaseState):
             _check_state(name, holder, at)
     by_place = {at: index for index, (_, _, at) in enumerate(entries)}
     parents = [-1 if at == loc else by_place[at[:-2]] for _, _, at in entries]
@@ -158,33 +147,23 @@ def tree(region: BaseRegion, *loc: str | int) -> Tree:
     nodes = []
     for index, (name, holder, at) in enumerate(entries):
         if sorts[index] in HISTORIES and parents[index] == ROOT:
-            raise DeclarationProblem(
-                f"the history {name!r} is not inside a state that has states",
-                advice="put it among the states of that state, or of a region in a state",
-                loc=(*at, "history"),
-            )
-        nodes.append(
-            Node(
-                name,
-                sorts[index],
-                parents[index],
-                tuple(i for i in members[index] if sorts[i] not in HISTORIES),
-                tuple(i for i in members[index] if sorts[i] in HISTORIES),
-                -1,
-                holder,
-            )
-        )
+            message = f"the history {name!r} is not inside a state that has states"
+            advice = "put it among the states of that state, or of a region in a state"
+            raise DeclarationProblem(message, advice=advice, loc=(*at, "history"))
+        states = tuple(i for i in members[index] if sorts[i] not in HISTORIES)
+        histories = tuple(i for i in members[index] if sorts[i] in HISTORIES)
+        nodes.append(Node(name, sorts[index], parents[index], states, histories, -1, holder))
     unnamed = Tree(tuple(nodes), ())
     nodes = [_with_initial(unnamed, index, places, at) for index, (_, _, at) in enumerate(entries)]
     bare = Tree(tuple(nodes), ())
-    written = list(declared_transitions(region, *loc))
+    written = list(transitions.declared_transitions(region, *loc))
     arrows = [_arrow(bare, places, *found, by_place) for found in written]
     _check_distinct(arrows, [at for _, at in written])
     return Tree(tuple(nodes), tuple(arrows))
 
 
-def _sort(holder: Holder) -> Sort:
-    if isinstance(holder, BaseState):
+def _sort(holder: transitions.Holder) -> Sort:
+    if isinstance(holder, transitions.BaseState):
         if holder.history is not None:
             return Sort.SHALLOW if holder.history == "shallow" else Sort.DEEP
         if holder.regions:
@@ -196,12 +175,11 @@ def _sort(holder: Holder) -> Sort:
 
 def _check_none(keys: Sequence[str], at: Loc, reason: str, advice: str) -> None:
     if keys:
-        raise DeclarationProblem(
-            f"{reason}: it has no {keys[0]!r}", advice=advice, key=(*at, keys[0])
-        )
+        message = f"{reason}: it has no {keys[0]!r}"
+        raise DeclarationProblem(message, advice=advice, key=(*at, keys[0]))
 
 
-def _check_state(name: str, state: BaseState, at: Loc) -> None:
+def _check_state(name: str, state: transitions.BaseState, at: Loc) -> None:
     """Check the keys of a state that describe its substates."""
     if state.history is not None:
         _check_none(
@@ -219,23 +197,16 @@ def _check_state(name: str, state: BaseState, at: Loc) -> None:
         )  # fmt: skip
         return
     if state.regions and any(inner.history is None for inner in state.states.values()):
-        raise DeclarationProblem(
-            f"{name!r} has states and regions",
-            advice="put the states into a region of their own; only histories stand beside regions",
-            key=(*at, "regions"),
-        )
+        message = f"{name!r} has states and regions"
+        advice = "put the states into a region of their own; only histories stand beside regions"
+        raise DeclarationProblem(message, advice=advice, key=(*at, "regions"))
     if state.states and not state.regions and state.initial is None:
-        raise DeclarationProblem(
-            f"{name!r} has states, and no initial one",
-            advice=f"write initial: {next(iter(state.states))}",
-            key=at,
-        )
+        advice = f"write initial: {next(iter(state.states))}"
+        raise DeclarationProblem(f"{name!r} has states, and no initial one", advice=advice, key=at)
     if (state.regions or not state.states) and state.initial is not None:
-        raise DeclarationProblem(
-            f"{name!r} has `initial`, but no `states` of its own",
-            advice="write it in its regions" if state.regions else "add states, or remove it",
-            key=(*at, "initial"),
-        )
+        message = f"{name!r} has `initial`, but no `states` of its own"
+        advice = "write it in its regions" if state.regions else "add states, or remove it"
+        raise DeclarationProblem(message, advice=advice, key=(*at, "initial"))
 
 
 def _with_initial(bare: Tree, index: int, places: Mapping[str, int], at: Loc) -> Node:
@@ -252,25 +223,20 @@ def _with_initial(bare: Tree, index: int, places: Mapping[str, int], at: Loc) ->
         inside = [n.name for i, n in enumerate(bare.nodes) if bare.holds(holder, i)]
         if initial not in inside:
             where = f" in {bare.nodes[holder].name!r}" if holder != ROOT else ""
-            raise DeclarationProblem(
-                f"no state {initial!r}{where}",
-                advice=close_matches(initial, inside),
-                loc=(*at, "initial"),
-            )
+            message = f"no state {initial!r}{where}"
+            advice = close_matches(initial, inside)
+            raise DeclarationProblem(message, advice=advice, loc=(*at, "initial"))
         found = places[initial]
         if bare.nodes[found].sort in HISTORIES:
-            raise DeclarationProblem(
-                f"{initial!r} is a history, which cannot be initial",
-                advice="write a state",
-                loc=(*at, "initial"),
-            )
+            message = f"{initial!r} is a history, which cannot be initial"
+            raise DeclarationProblem(message, advice="write a state", loc=(*at, "initial"))
     return replace(node, initial=found)
 
 
 def _arrow(
     bare: Tree,
     places: Mapping[str, int],
-    declared: Transition,
+    declared: transitions.Transition,
     at: Loc,
     by_place: Mapping[Loc, int],
 ) -> Arrow:
@@ -279,27 +245,21 @@ def _arrow(
     for name, key in ((declared.source, "from"), (declared.target, "to")):
         if name is not None and name not in states:
             several = key == "from" and not name.isidentifier()
-            advice = SEVERAL_SOURCES if several else close_matches(name, states)
+            advice = transitions.SEVERAL_SOURCES if several else close_matches(name, states)
             raise DeclarationProblem(f"no state {name!r}", advice=advice, loc=(*at, key))
     source = places[declared.source]
     if bare.nodes[source].sort in HISTORIES:
-        raise DeclarationProblem(
-            f"{declared.source!r} is a history, which nothing leaves",
-            advice="let it leave the state that holds it",
-            loc=(*at, "from"),
-        )
+        message = f"{declared.source!r} is a history, which nothing leaves"
+        advice = "let it leave the state that holds it"
+        raise DeclarationProblem(message, advice=advice, loc=(*at, "from"))
     if bare.nodes[source].final:
-        raise DeclarationProblem(
-            f"{declared.source!r} is final, and nothing leaves it",
-            advice="let it leave the state that holds it, with on: STATE.done",
-            loc=(*at, "from"),
-        )
+        message = f"{declared.source!r} is final, and nothing leaves it"
+        advice = "let it leave the state that holds it, with on: STATE.done"
+        raise DeclarationProblem(message, advice=advice, loc=(*at, "from"))
     if scope not in (source, *bare.above[source]):
-        raise DeclarationProblem(
-            f"{declared.source!r} is not in {bare.nodes[scope].name!r}",
-            advice="declare a transition where its source is, or further out",
-            loc=(*at, "from"),
-        )
+        message = f"{declared.source!r} is not in {bare.nodes[scope].name!r}"
+        advice = "declare a transition where its source is, or further out"
+        raise DeclarationProblem(message, advice=advice, loc=(*at, "from"))
     target = -1 if declared.target is None else places[declared.target]
     inside = target >= 0 and bare.holds(source, target)
     if declared.internal and not (inside and bare.nodes[source].sort is Sort.COMPOUND):
@@ -332,20 +292,17 @@ def _check_distinct(arrows: list[Arrow], locs: list[Loc]) -> None:
         declared = arrow.declared
         key = (declared.name, arrow.source, arrow.target)
         if key in named:
-            raise DeclarationProblem(
+            message = (
                 f"a second transition {declared.name!r} from {declared.source!r} "
-                f"to {declared.target!r}",
-                advice="give it another name",
-                loc=(*at, "name"),
+                f"to {declared.target!r}"
             )
+            raise DeclarationProblem(message, advice="give it another name", loc=(*at, "name"))
         named.add(key)
         if declared.period is not None:
             if declared.name in timed:
-                raise DeclarationProblem(
-                    f"a second transition {declared.name!r} that waits for a time",
-                    advice="give it another name: each has a clock of its name",
-                    loc=(*at, "name"),
-                )
+                message = f"a second transition {declared.name!r} that waits for a time"
+                advice = "give it another name: each has a clock of its name"
+                raise DeclarationProblem(message, advice=advice, loc=(*at, "name"))
             timed.add(declared.name)
         words = [f"on {e.region}.{e.cause}" for e in declared.events] or [declared.trigger]
         # An unguarded transition on an event shadows every later one on it.

@@ -125,14 +125,11 @@ def _count(region: str, function: str, value: str, period: str) -> Count:
     steps = [(up, f"{value} >= ({count} + 1)*{period}", above)]
     if value != TIME or changes:
         steps.append((down, f"{value} < {count}*{period}", below))
-    return Count(
-        count,
-        f"floor({_factor(_at_start(value))}/{period})",
-        tuple(
-            Transition(**{"name": event, "from": STATE, "guard": guard, "updates": {count: to}})
-            for event, guard, to in steps
-        ),
+    transitions = (
+        Transition(**{"name": event, "from": STATE, "guard": guard, "updates": {count: to}})
+        for event, guard, to in steps
     )
+    return Count(count, f"floor({_factor(_at_start(value))}/{period})", tuple(transitions))
 
 
 def _factor(text: str) -> str:
@@ -176,13 +173,12 @@ def check_wrapping(document: Declaration, still: Collection[Loc] = ()) -> None:
     for loc, text, wrap in wraps_in(document):
         _check_arguments(document, wrap, loc)
         if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):
-            raise DeclarationProblem(
-                f"{wrap.call.function} jumps, and cannot stand in this field",
-                advice="write it in paths of surfaces and led bodies, flows, forces, controls, "
-                "guards, or enabled",
-                loc=loc,
-                offset=wrap.call.offset,
+            message = f"{wrap.call.function} jumps, and cannot stand in this field"
+            advice = (
+                "write it in paths of surfaces and led bodies, flows, forces, controls, "
+                "guards, or enabled"
             )
+            raise DeclarationProblem(message, advice=advice, loc=loc, offset=wrap.call.offset)
         _check_bound(text, loc)
 
 
@@ -213,13 +209,12 @@ def _check_bound(text: str, loc: Loc) -> None:
         if missed:
             call = text[wrap.call.offset : wrap.call.marks[-1] + 1]
             regular = f", or a transition with every: {wrap.period}" if wrap.value == TIME else ""
-            raise DeclarationProblem(
+            message = (
                 f"{call} is 0 for an instant and stays below {wrap.period}: the comparison holds "
-                "for no span of time",
-                advice=f"write {call} {advised}{regular}",
-                loc=loc,
-                offset=wrap.call.offset,
+                "for no span of time"
             )
+            advice = f"write {call} {advised}{regular}"
+            raise DeclarationProblem(message, advice=advice, loc=loc, offset=wrap.call.offset)
 
 
 def _check_arguments(document: Declaration, wrap: Wrap, loc: Loc) -> None:
@@ -228,13 +223,12 @@ def _check_arguments(document: Declaration, wrap: Wrap, loc: Loc) -> None:
     others = sorted(used - {TIME, *document.parameters})
     others += ["a formula that jumps"] if any(calls_in(call.arguments[0], JUMPS)) else []
     if others:
-        raise DeclarationProblem(
-            f"{function} of {others[0]} is not periodic in time",
-            advice=f"write {function} of {TIME} and parameters, as in mod({TIME}, T); of what "
-            "else changes, write a region whose transition to its own state counts",
-            loc=loc,
-            offset=call.offset,
+        message = f"{function} of {others[0]} is not periodic in time"
+        advice = (
+            f"write {function} of {TIME} and parameters, as in mod({TIME}, T); of what "
+            "else changes, write a region whose transition to its own state counts"
         )
+        raise DeclarationProblem(message, advice=advice, loc=loc, offset=call.offset)
 
 
 def wrap_checks(document: Declaration) -> Iterator[ValueCheck]:
@@ -250,9 +244,5 @@ def _check_wrap_period(loc: Loc, wrap: Wrap, values: Mapping[str, float]) -> Non
         found = value_of(wrap.period, values, *loc)
         problem = "" if 0.0 < found < math.inf else f"is {found:g}"
     if problem:
-        raise DeclarationProblem(
-            f"the period of {wrap.call.function} {problem}",
-            advice=WRAP_ADVICE,
-            loc=loc,
-            offset=wrap.call.offset,
-        )
+        message = f"the period of {wrap.call.function} {problem}"
+        raise DeclarationProblem(message, advice=WRAP_ADVICE, loc=loc, offset=wrap.call.offset)

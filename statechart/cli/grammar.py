@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NoReturn
 
 from statechart.errors import close_matches
@@ -52,7 +53,7 @@ def parser() -> argparse.ArgumentParser:
     _add_report_options(run)
     view = verb("view", "run a model, write the run as a page and open it in the browser")
     _settable(view)
-    _value(view, "--until", "T", "end time of the run", type=_number_argument)
+    _number(view, "--until", "T", "end time of the run")
     _value(view, "-o --output", "PAGE", "file of the page; a temporary one by default")
     trade = verb("trade", "run a model at many settings, and compare error with run time")
     _json(trade)
@@ -64,19 +65,13 @@ def parser() -> argparse.ArgumentParser:
     )
     _add_draw_options(verb("draw", "draw the statechart of a model, or its scene"))
     check = verb("check", "test a model's invariants over its ranges of parameters")
-    _value(
-        check, "--examples", "N", "examples per property (default 50)", type=_positive, default=50
-    )
-    _value(
-        check,
-        "--seed",
-        "S",
-        "seed of the examples; the same one repeats a check exactly",
-        type=_count,
-    )
+    words = "examples per property (default 50)"
+    _value(check, "--examples", "N", words, type=_positive, default=50)
+    words = "seed of the examples; the same one repeats a check exactly"
+    _value(check, "--seed", "S", words, type=_count)
     _json(check)
     ahead = verb("compile", "compile all numerical kernels, once per machine", file=False)
-    ahead.add_argument("-q", "--quiet", action="store_true", help="show no progress")
+    _flag(ahead, "-q --quiet", "show no progress")
     schema = verb("schema", "print the JSON Schema of the documents", file=False)
     schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; both by default")
     new = verb("new", "write a commented scene to start from", file=False)
@@ -92,10 +87,7 @@ def parser() -> argparse.ArgumentParser:
 
 _OPTIONS = {
     **dict.fromkeys(("--page", "--html"), "--report"),
-    **dict.fromkeys(
-        ("--t-end", "--tend", "--stop-time", "--tmax", "--t-max", "--end", "--time", "--duration"),
-        "--until",
-    ),
+    **dict.fromkeys(("--t-end", "--tend", "--tmax", "--end", "--time", "--duration"), "--until"),
     **dict.fromkeys(("--dt", "--timestep", "--time-step"), "--step"),
     **dict.fromkeys(("--tol", "--rtol", "--atol"), "--tolerance"),
     **dict.fromkeys(("--solver", "--integrator"), "--engine"),
@@ -166,73 +158,57 @@ def _value(
     parser.add_argument(*names.split(), metavar=metavar, help=words, **more)
 
 
+def _number(parser: argparse._ActionsContainer, name: str, metavar: str, words: str) -> None:
+    parser.add_argument(name, metavar=metavar, help=words, type=_number_argument)
+
+
 def _flag(parser: argparse._ActionsContainer, names: str, words: str) -> None:
     parser.add_argument(*names.split(), action="store_true", help=words)
 
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
-    _value(parser, "--until", "T", "end time of the run", type=_number_argument)
+    _number(parser, "--until", "T", "end time of the run")
     _engine(parser)
     words = (
         "allowed residual of the contact impulses, relative to the fastest approach velocity in "
         "the step (engine impulse)"
     )
-    _value(parser, "--impulse-tolerance", "R", words, type=_number_argument)
-    _value(
-        parser,
-        "--impulse-bound",
-        "R",
-        "residual of the contact impulses above which the run ends (engine impulse)",
-        type=_number_argument,
+    _number(parser, "--impulse-tolerance", "R", words)
+    words = "residual of the contact impulses above which the run ends (engine impulse)"
+    _number(parser, "--impulse-bound", "R", words)
+    words = (
+        "data that the engine impulse records: modes and events, the states at every step, "
+        "or start, end and outputs"
     )
-    parser.add_argument(
-        "--record",
-        choices=("modes", "poses", "nothing"),
-        help="data that the engine impulse records: modes and events, the states at every step, "
-        "or start, end and outputs",
-    )
-    words = "longest time step of the engines taylor and scipy"
-    _value(parser, "--max-step", "H", words, type=_number_argument)
+    parser.add_argument("--record", choices=("modes", "poses", "nothing"), help=words)
+    _number(parser, "--max-step", "H", "longest time step of the engines taylor and scipy")
     words = "RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)"
     _value(parser, "--method", "M", words)
     error = parser.add_mutually_exclusive_group()
     _errors(error)
-    _value(
-        error,
-        "--budget",
-        "S",
-        "time budget in seconds, used for the best accuracy",
-        type=_number_argument,
-    )
+    _number(error, "--budget", "S", "time budget in seconds, used for the best accuracy")
 
 
 def _errors(group: argparse._ActionsContainer) -> None:
-    _value(group, "--accuracy", "A", "allowed relative error of the result", type=_number_argument)
-    _value(group, "--tolerance", "R", "relative tolerance of every step", type=_number_argument)
+    _number(group, "--accuracy", "A", "allowed relative error of the result")
+    _number(group, "--tolerance", "R", "relative tolerance of every step")
 
 
 def _add_report_options(parser: argparse.ArgumentParser) -> None:
-    words = "enclose the defect of every step, and estimate the global error"
-    _flag(parser, "--certify", words)
+    _flag(parser, "--certify", "enclose the defect of every step, and estimate the global error")
     words = "also run with the other laws of simultaneous impacts, and compare"
     _flag(parser, "--alternatives", words)
     words = "list for every event the guard that fired, margins, candidates and energy"
     _flag(parser, "--explain", words)
     words = "folder for tables, data set and figure; or STORE.zarr for the states at every step"
     _value(parser, "-o --output", "DIR", words)
-    parser.add_argument(
-        "--samples",
-        action=argparse.BooleanOptionalAction,
-        help="also write samples.csv, with the data of trace.nc",
-    )
+    words = "also write samples.csv, with the data of trace.nc"
+    parser.add_argument("--samples", action=argparse.BooleanOptionalAction, help=words)
     _value(parser, "--animate", "FILM", "draw the bodies in motion: .gif, or .mp4 with ffmpeg")
-    words = "simulated time per second of the film"
-    _value(parser, "--speed", "V", words, type=_number_argument)
-    _value(
-        parser, "--size", "PIXELS", "longer side of the film in pixels (default 720)", type=_count
-    )
-    words = "length of the trails in simulated time; 0 for none"
-    _value(parser, "--trail", "T", words, type=_number_argument)
+    _number(parser, "--speed", "V", "simulated time per second of the film")
+    words = "longer side of the film in pixels (default 720)"
+    _value(parser, "--size", "PIXELS", words, type=_count)
+    _number(parser, "--trail", "T", "length of the trails in simulated time; 0 for none")
     _value(parser, "--report", "PAGE", "write the run as one page: .html")
     _json(parser, digits=True)
 
@@ -249,7 +225,7 @@ def _add_list_options(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     words = "check this configuration instead of the initial one, such as bar.angle=0.3"
     _value(where, "--at", "NAME=VALUE", words, action="append", default=[], type=_assigned_value)
-    _value(where, "--until", "T", "check the state of a run at this time", type=_number_argument)
+    _number(where, "--until", "T", "check the state of a run at this time")
     _json(parser, digits=True)
     words = "print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'"
     _value(parser, "--equations", "MODE", words)
@@ -266,21 +242,16 @@ def _add_draw_options(parser: argparse.ArgumentParser) -> None:
     _flag(what, "--visited", "run the model, and draw the visited modes and the path through them")
     words = "draw bodies, surfaces and contacts where a run starts: .svg .png .pdf"
     _flag(what, "--scene", words)
-    parser.add_argument(
-        "--guards",
-        choices=("legend", "inline"),
-        default="legend",
-        help="place of guards and resets: the legend (default), or every arrow",
-    )
+    words = "place of guards and resets: the legend (default), or every arrow"
+    places = ("legend", "inline")
+    parser.add_argument("--guards", choices=places, default="legend", help=words)
 
 
 def _engine(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--engine",
-        choices=("auto", "taylor", "scipy", "impulse"),
-        help="taylor and scipy locate events, impulse takes fixed time steps; auto chooses",
-    )
-    _value(parser, "--step", "H", "time step of the engine impulse", type=_number_argument)
+    words = "taylor and scipy locate events, impulse takes fixed time steps; auto chooses"
+    engines = ("auto", "taylor", "scipy", "impulse")
+    parser.add_argument("--engine", choices=engines, help=words)
+    _number(parser, "--step", "H", "time step of the engine impulse")
 
 
 def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
@@ -292,20 +263,11 @@ def _add_sweep_options(parser: argparse.ArgumentParser) -> None:
     cells = parser.add_mutually_exclusive_group()
     words = "points of a Sobol sequence over NAME=lin:A:B, a power of two"
     _value(cells, "--sobol", "N", words, type=_positive)
-    _value(
-        cells,
-        "--samples",
-        "TABLE.csv",
-        "table of values: a column for every parameter, a row for every run",
-    )
-    _value(
-        parser,
-        "--outputs",
-        "NAMES",
-        "outputs to compute, separated by commas; all by default",
-        type=_names,
-    )
-    _value(parser, "--until", "T", "end time of the runs", type=_number_argument)
+    words = "table of values: a column for every parameter, a row for every run"
+    _value(cells, "--samples", "TABLE.csv", words)
+    words = "outputs to compute, separated by commas; all by default"
+    _value(parser, "--outputs", "NAMES", words, type=_names)
+    _number(parser, "--until", "T", "end time of the runs")
     _engine(parser)
     _errors(parser.add_mutually_exclusive_group())
     where = parser.add_mutually_exclusive_group()
@@ -404,8 +366,7 @@ def _count(text: str, least: int = 0) -> int:
     return count
 
 
-def _positive(text: str) -> int:
-    return _count(text, least=1)
+_positive = partial(_count, least=1)
 
 
 def script(shell: str) -> str:

@@ -57,10 +57,8 @@ def check_file(
     if deep and (why := obstacle(path.parent)):
         raise DeclarationError(f"{option} {output}: {why}", advice="name another place")
     if not deep and (not path.parent.is_dir() or obstacle(path.parent)):
-        raise DeclarationError(
-            f"{option} {output}: there is no folder {path.parent} that is writable",
-            advice="name another folder, or make this one",
-        )
+        message = f"{option} {output}: there is no folder {path.parent} that is writable"
+        raise DeclarationError(message, advice="name another folder, or make this one")
     if suffixes and path.suffix.lower() not in suffixes:
         known = suffixes if len(suffixes) < 3 else ("one of " + ", ".join(suffixes),)
         raise DeclarationError(f"{option} {output}: the suffix must be {' or '.join(known)}")
@@ -117,17 +115,15 @@ def check_animation(runner: Runner, arguments: argparse.Namespace) -> None:
     if output is None:
         if options:
             names = [f"--{name}" for name in options]
-            raise DeclarationError(
-                f"{' and '.join(names)} need{'s' * (len(names) == 1)} --animate FILM",
-                advice=f"add --animate FILM, or remove {'it' if len(names) == 1 else 'them'}",
-            )
+            message = f"{' and '.join(names)} need{'s' * (len(names) == 1)} --animate FILM"
+            advice = f"add --animate FILM, or remove {'it' if len(names) == 1 else 'them'}"
+            raise DeclarationError(message, advice=advice)
         return
     from statechart.pictures.animation import check
-    from statechart.reporting.film import AnimationOptions, stage_of
+    from statechart.reporting.film import stage_of
 
     check_file("--animate", output)
-    shown = AnimationOptions(**options)
-    check(Path(output), shown.size, shown.speed, shown.trail)
+    check(Path(output), **options)
     stage_of(runner.automaton)
 
 

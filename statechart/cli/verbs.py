@@ -74,13 +74,9 @@ def run(arguments: argparse.Namespace) -> int:
         progress=not arguments.quiet,
     )
     output_files.check_folder(arguments.output)
-    if arguments.samples is not None and (
-        arguments.output is None or output_files.is_store(arguments.output)
-    ):
-        raise DeclarationError(
-            "--samples and --no-samples need --output DIR",
-            advice="add --output DIR, or remove them",
-        )
+    to_folder = arguments.output is not None and not output_files.is_store(arguments.output)
+    if arguments.samples is not None and not to_folder:
+        raise DeclarationError("--samples and --no-samples need --output DIR")
     output_files.check_animation(runner, arguments)
     output_files.check_file("--report", arguments.report, output_files.PAGES)
     if arguments.output is not None:
@@ -90,11 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     with interrupts.deferred(), interrupts.limit_time(output_files.PATIENCE):
         complete = _deliver(runner, result, parameters, arguments)
     request = result.asked
-    met = (
-        request is None
-        or request.setting.accuracy is None
-        or request.reached(result.error_estimate)
-    )
+    met = request is None or not request.setting.accuracy or request.reached(result.error_estimate)
     return 0 if complete and met and result.trace.outcome.succeeded else 1
 
 
@@ -111,10 +103,9 @@ def _deliver(
         explain = arguments.explain or arguments.output is not None
         report = result.to_dict(explain=explain, pieces=pieces)
         if arguments.alternatives:
-            none: list[dict[str, Any]] = []
-            report["alternatives"] = pieces.attempt(
-                "alternatives", lambda: _alternatives(runner, result, parameters, arguments), none
-            )
+            others = functools.partial(_alternatives, runner, result, parameters, arguments)
+            none = list[dict[str, Any]]()
+            report["alternatives"] = pieces.attempt("alternatives", others, none)
         return report
 
     if arguments.output is not None:
@@ -136,13 +127,8 @@ def _deliver(
             show(["\n", *explain_events(report, arguments.digits)])
     sys.stdout.flush()
     if arguments.animate is not None:
-        shown = not arguments.quiet
-        draw = functools.partial(
-            result.animate,
-            arguments.animate,
-            progress=shown,
-            **output_files.film_options(arguments),
-        )
+        options = output_files.film_options(arguments) | {"progress": not arguments.quiet}
+        draw = functools.partial(result.animate, arguments.animate, **options)
         pieces.attempt(arguments.animate, draw, None)
     if arguments.report is not None:
         study, warnings = output_files.study_for_page(
@@ -214,17 +200,13 @@ def _alternatives(
         other = other_runner.run(parameters, until=arguments.until, throw=False)
         found = own.difference(EvaluatedRun.of(other.observer, other.trace), own.scales)
         report = other.to_dict()
-        rows.append(
-            {
-                "choice": choice,
-                "outcome": other.trace.outcome.name,
-                "same_modes": found.diverged is None,
-                "diverged": found.diverged,
-                "difference": None if found.diverged is not None else json_safe(found.largest),
-                "final": report["final"],
-                "outputs": report["outputs"],
-            }
-        )
+        same = found.diverged is None
+        row = {"choice": choice, "outcome": other.trace.outcome.name, "same_modes": same}
+        row |= {
+            "diverged": found.diverged,
+            "difference": json_safe(found.largest) if same else None,
+        }
+        rows.append(row | {part: report[part] for part in ("final", "outputs")})
     return rows
 
 
@@ -238,9 +220,8 @@ def modes(arguments: argparse.Namespace) -> int:
     if arguments.latex and arguments.json:
         raise DeclarationError("--latex and --json exclude each other", advice="write one of them")
     if arguments.equations is not None and (arguments.at or arguments.until is not None):
-        raise DeclarationError(
-            "--equations are the same at every configuration", advice="remove --at and --until"
-        )
+        advice = "remove --at and --until"
+        raise DeclarationError("--equations are the same at every configuration", advice=advice)
     runner = _runner(arguments.file, progress=not arguments.quiet)
     automaton = runner.automaton
     if arguments.equations is not None:
@@ -295,12 +276,8 @@ def draw(arguments: argparse.Namespace) -> int:
             code = _warn_of_early_end(trace)
         write(diagram, path, arguments.guards)
         if path.suffix.lower() == ".scxml" and diagram.machine is not None:
-            warn(
-                [
-                    f"the SCXML file leaves out {sentence}"
-                    for sentence in unexpressed_parts(diagram.machine)
-                ]
-            )
+            parts = unexpressed_parts(diagram.machine)
+            warn(f"the SCXML file leaves out {sentence}" for sentence in parts)
     return code
 
 
@@ -337,18 +314,15 @@ def trade(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         from statechart.study.figure import write_study_figure
 
-        pieces.attempt(
-            "tables and figure", lambda: write_study_figure(arguments.output, study), None
-        )
+        write = functools.partial(write_study_figure, arguments.output, study)
+        pieces.attempt("tables and figure", write, None)
     if arguments.json:
         print_json(to_dict(study))
     else:
         show(describe_study(study))
     _print_failed_parts(pieces)
     if not study.complete:
-        again = (
-            "the same command continues" if arguments.output is not None else "-o DIR would keep it"
-        )
+        again = "the same command continues" if arguments.output else "-o DIR would keep it"
         print(f"interrupted; {again}", file=sys.stderr)
     return 0 if study.complete and not pieces.failed else 1
 
@@ -361,9 +335,8 @@ def sweep(arguments: argparse.Namespace) -> int:
     from statechart.sweeps.sweep import make_plan, run_plan
     from statechart.sweeps.workers import crew
 
-    over, samples = cells(
-        _assigned_values("--over", arguments.over), arguments.samples, arguments.sobol
-    )
+    ranges = _assigned_values("--over", arguments.over)
+    over, samples = cells(ranges, arguments.samples, arguments.sobol)
     names = {part.name for part in fields(Setting)} & set(vars(arguments))
     setting = Setting(**{name: getattr(arguments, name) for name in names})
     _collect_garbage()
@@ -400,17 +373,13 @@ def check(arguments: argparse.Namespace) -> int:
     runner = _runner(arguments.file)
     warn(runner.start()[1])
     with _hypothesis_folder():
-        report = check_model(
-            runner.model,
-            examples=arguments.examples,
-            seed=arguments.seed,
-            progress=_printer(arguments, "testing: "),
-        )
+        options = {"examples": arguments.examples, "seed": arguments.seed}
+        report = check_model(runner.model, **options, progress=_printer(arguments, "testing: "))
     pieces, written = PartialReport(), None
     if not report.passed:
         path = Path(f"{runner.model.name}_failure.yaml")
-        data = report.reproduction.encode()
-        pieces.attempt(str(path), lambda: write_atomic(path, data), None)
+        write = functools.partial(write_atomic, path, report.reproduction.encode())
+        pieces.attempt(str(path), write, None)
         written = None if pieces.failed else str(path)
     if arguments.json:
         print_json({**report.to_json(), "reproduction": written})
@@ -463,10 +432,8 @@ def new(arguments: argparse.Namespace) -> int:
 
     name = arguments.name
     if not NAME.fullmatch(name) or name in RESERVED or not isinstance(resolve(name), str):
-        raise DeclarationError(
-            f"{name!r} cannot be the name of a model",
-            advice="letters, digits and _, not beginning with a digit, no word of formulas or YAML",
-        )
+        advice = "letters, digits and _, not beginning with a digit, no word of formulas or YAML"
+        raise DeclarationError(f"{name!r} cannot be the name of a model", advice=advice)
     path = Path(f"{name}.yaml")
     if path.exists() or path.is_symlink():
         raise DeclarationError(f"{path} exists already", advice="choose another name")
@@ -570,5 +537,4 @@ def warn(warnings: Iterable[str]) -> None:
 
 def print_json(value: object) -> None:
     """Print plain data as JSON."""
-    # Floats are printed with the fewest digits that read back as the same float.
     print(json.dumps(value, indent=2, allow_nan=False))

@@ -92,11 +92,8 @@ def _is_composed(region: Region) -> bool:
     """
     leaves = region.innermost
     around = Counter(name for leaf in leaves for name in region.active(leaf)[1:])
-    return (
-        bool(region.nesting.histories)
-        or not {*region.states} <= {*leaves}
-        or any(around[name] == 1 for name in region.nesting.names)
-    )
+    lone = any(around[name] == 1 for name in region.nesting.names)
+    return bool(region.nesting.histories) or lone or not {*region.states} <= {*leaves}
 
 
 def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
@@ -122,9 +119,7 @@ def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
 def _with_start_names(chart: Chart, prefix: str, starts: Mapping[str | None, list[str]]) -> Chart:
     """Return a chart of regions with the names of those that start in a state beside it."""
     names = {f"{prefix}{state}": ", ".join(abbreviate(own)) for state, own in starts.items()}
-    nodes = (
-        replace(node, initial=False, starting=names.get(node.name, "")) for node in chart.nodes
-    )
+    nodes = (replace(n, initial=False, starting=names.get(n.name, "")) for n in chart.nodes)
     return replace(chart, nodes=tuple(nodes))
 
 
@@ -140,20 +135,17 @@ def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
 
     def active(key: Key) -> tuple[str, ...]:
         states = dict(zip(automaton.region_names, key, strict=True))
-        found = (
-            prefix + state
-            for name, prefix in owners.items()
-            for state in nesting[name].get(states[name], (states[name],))
-        )
-        return tuple(dict.fromkeys(found))
+        found: dict[str, None] = {}
+        for name, prefix in owners.items():
+            for state in nesting[name].get(states[name], (states[name],)):
+                found[prefix + state] = None
+        return tuple(found)
 
     return active
 
 
 def _mark_infeasible(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
-    nodes = (
-        replace(node, infeasible=reasons.get(node.name) or node.infeasible) for node in chart.nodes
-    )
+    nodes = (replace(n, infeasible=reasons.get(n.name) or n.infeasible) for n in chart.nodes)
     return replace(chart, nodes=tuple(nodes))
 
 
@@ -164,25 +156,17 @@ def _grid(automaton: Automaton, start: Key, modes: Product) -> Chart:
     moving = {region.name for region in _changing_regions(automaton)}
     shown = [k for k, region in enumerate(regions) if region.name in moving]
     colours = [automaton.colours[region.name] for region in regions]
-    nodes = tuple(
-        Node(
-            _name(key),
-            "\n".join(f"{regions[k].name} {key[k]}" for k in shown),
-            initial=key == initial,
-            infeasible=data.get("reason") or None,
-            colours=tuple(colours[k][key[k]] for k in shown),
-        )
-        for key, data in modes.modes.items()
-    )
-    links = tuple(
-        Link(
-            _name(source), _name(target), data["event"], data["guard"], data["reset"],
-            region=data["region"],
-        )
-        for source, target, data in modes.edges()
-    )  # fmt: skip
+    nodes, links = [], []
+    for key, data in modes.modes.items():
+        label = "\n".join(f"{regions[k].name} {key[k]}" for k in shown)
+        own, reason = tuple(colours[k][key[k]] for k in shown), data.get("reason") or None
+        begins = key == initial
+        nodes.append(Node(_name(key), label, initial=begins, infeasible=reason, colours=own))
+    for source, target, data in modes.edges():
+        words = data["event"], data["guard"], data["reset"]
+        links.append(Link(_name(source), _name(target), *words, region=data["region"]))
     first, second = (_axis(automaton, regions[k], initial[k]) for k in shown)
-    return Chart(nodes, links, axes=(first, second))
+    return Chart(tuple(nodes), tuple(links), axes=(first, second))
 
 
 def _axis(automaton: Automaton, region: Region, start: str) -> Chart:
@@ -242,9 +226,8 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
     notes += [f"always {state}: {', '.join(abbreviate(names))}" for state, names in resting.items()]
     drawn = {_name(key) for key in shown}
     seen = tuple(link for link in links if {link.source, link.target} <= drawn)
-    return Chart(tuple(nodes), seen, "modes of the run", tuple(map(_name, drawn_path))), tuple(
-        notes
-    )
+    chart = Chart(tuple(nodes), seen, "modes of the run", tuple(map(_name, drawn_path)))
+    return chart, tuple(notes)
 
 
 def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[Link]]:
@@ -267,14 +250,11 @@ def _stepped_links(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...],
         for jump in together:
             whose.setdefault((*ends, jump.cause), {})[jump.region] = None
     single = len(_changing_regions(automaton)) == 1
-    links = [
-        Link(
-            _name(ends[0]), _name(ends[1]), cause, "", "", count,
-            "" if single else _several([*whose[*ends, cause]]),
-        )
-        for ends, causes in counts.items()
-        for cause, count in causes.items()
-    ]  # fmt: skip
+    links = []
+    for (source, target), causes in counts.items():
+        for cause, count in causes.items():
+            regions = "" if single else _several([*whose[source, target, cause]])
+            links.append(Link(_name(source), _name(target), cause, "", "", count, regions))
     return tuple(path), links
 
 
@@ -293,13 +273,11 @@ def _run_links(automaton: Automaton, modes: Product) -> list[Link]:
             alike = source, target, data["event"], data["guard"], data["reset"]
             made.setdefault(alike, Counter())[data["region"]] += data["visits"]
     single = len(_changing_regions(automaton)) == 1
-    return [
-        Link(
-            _name(source), _name(target), event, guard, reset, counts.total(),
-            "" if single else ", ".join(abbreviate([*counts])),
-        )
-        for (source, target, event, guard, reset), counts in made.items()
-    ]  # fmt: skip
+    links = []
+    for (source, target, event, guard, reset), counts in made.items():
+        regions, visits = "" if single else ", ".join(abbreviate([*counts])), counts.total()
+        links.append(Link(_name(source), _name(target), event, guard, reset, visits, regions))
+    return links
 
 
 def _remarks(automaton: Automaton) -> tuple[str, ...]:
@@ -356,11 +334,10 @@ def region_chart(
     def node(name: str) -> Node:
         inside = next((outer for outer in region.active(name)[1:] if outer in frames), None)
         leaf = name not in frames
+        outer = None if inside is None else prefix + inside
+        conditions = _conditions(automaton, region, name) if leaf else ()
         return Node(
-            prefix + name,
-            name,
-            None if inside is None else prefix + inside,
-            _conditions(automaton, region, name) if leaf else (),
+            prefix + name, name, outer, conditions,
             initial=name == initial,
             infeasible=UNREACHED if name in nesting.unreached else None,
             colours=(colours[name],) if leaf else (),
@@ -368,10 +345,9 @@ def region_chart(
             parallel=name in nesting.parallel,
             actions=_actions(region, name),
             final=name in nesting.final,
-        )
+        )  # fmt: skip
 
     def history(name: str) -> Node:
-        """Return the node of a history."""
         declared = nesting.histories[name]
         inside = prefix + declared.parent if declared.parent in frames else None
         refused = UNREACHED if declared.parent in nesting.unreached else None
@@ -380,13 +356,10 @@ def region_chart(
 
     # Enclosing states come before a state, outer first.
     names = (n for s in leaves for n in reversed(region.active(s)) if n == s or n in frames)
-    links = (
-        Link(
-            prefix + e.source, prefix + e.target, e.cause, e.guard, _reset(region, e),
-            internal=e.internal,
-        )
-        for e in edges
-    )  # fmt: skip
+    links = []
+    for e in edges:
+        words = e.cause, e.guard, _reset(region, e)
+        links.append(Link(prefix + e.source, prefix + e.target, *words, internal=e.internal))
     nodes = (*map(node, dict.fromkeys(names)), *map(history, nesting.histories))
     return Chart(nodes, tuple(links), title)
 
@@ -419,10 +392,8 @@ def mode_label(states: Sequence[tuple[Region, str]]) -> tuple[str, tuple[tuple[R
     lines = []
     for state, members in groups.items():
         total = sum(state in region.states for region, _ in states)
-        alone = len(members) == 1
-        lines.append(
-            f"{members[0][0].name} {state}" if alone else f"{state}: {len(members)} of {total}"
-        )
+        several = f"{state}: {len(members)} of {total}"
+        lines.append(several if len(members) > 1 else f"{members[0][0].name} {state}")
     return "\n".join(lines), tuple(members[0] for members in groups.values())
 
 

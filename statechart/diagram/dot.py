@@ -33,11 +33,10 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     below = legend(diagram, guards)
     style = Style(identifiers(diagram), guards, below.reasons)
     several = len(diagram.charts) > 1
-    charts = [
-        _add_title(_lay_out(chart, style, f"_{k}_"), chart.title if several else "", f"_{k}_title")
-        for k, chart in enumerate(diagram.charts)
-        if chart.nodes
-    ]
+    charts = []
+    for k, chart in ((k, chart) for k, chart in enumerate(diagram.charts) if chart.nodes):
+        title = chart.title if several else ""
+        charts.append(_add_title(_lay_out(chart, style, f"_{k}_"), title, f"_{k}_title"))
     heading = [_heading(diagram)] if diagram.title else []
     rows = [*heading, *_legend_rows(charts, _WIDTH), *_legend_rows(_tables(below), _WIDE)]
     return _source(stacked(rows, _GAP), diagram.title)
@@ -51,11 +50,8 @@ def _lay_out(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
 
 def _heading(diagram: Diagram) -> LayoutBlock:
     rows = [text(diagram.title, size=TITLE, bold=True)]
-    rows += [
-        text(line, colour=FRAME)
-        for note in diagram.notes
-        for line in textwrap.wrap(note, _LINE) or [""]
-    ]
+    notes = (line for note in diagram.notes for line in textwrap.wrap(note, _LINE) or [""])
+    rows += [text(line, colour=FRAME) for line in notes]
     rows += [text(route, colour=RUN) for route in diagram.routes]
     return text_block("_title", table(rows))
 
@@ -86,9 +82,8 @@ def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> li
     lines = [[text(heads[k], size=SMALL, italic=True, colour=FRAME) for k in used_columns]]
     lines += [[text(_wrap_text(row[k]), size=SMALL) for k in used_columns] for row in rows]
     # Graphviz has no spacing of columns only.
-    lines = [
-        [part for cell in row for part in (cell, text("   ", size=SMALL))][:-1] for row in lines
-    ]
+    gap = text("   ", size=SMALL)
+    lines = [[part for cell in row for part in (cell, gap)][:-1] for row in lines]
     return [text_block(name, table(lines, padding=2, align="LEFT"))]
 
 

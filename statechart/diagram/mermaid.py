@@ -15,7 +15,6 @@ from statechart.palette import CLOSED, FAINT, FRAME, INK
 # entities, quotes, and two phrases it looks for anywhere in a line.
 _SPECIAL = re.compile(r"[^\w \n→….,()*/+=^'|!?-]|(?i:(?<=d)irection(?=\s))|(?i:(?<=e)nd note)")
 
-
 _BLANK = "#160;"  # the grammar has no empty label
 
 
@@ -27,9 +26,8 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
     pieces = diagram.pieces
     for k, piece in enumerate(pieces, 1):
         if len(pieces) > 1 and not piece.frames:
-            lines.append(
-                f'    state "{_escape(piece.title)}" as {_unused_name(f"chart{k}", states)} {{'
-            )
+            name = _unused_name(f"chart{k}", states)
+            lines.append(f'    state "{_escape(piece.title)}" as {name} {{')
             lines += [*_indent(_indent(_chart(piece, states, guards))), "    }"]
         else:
             # Mermaid fails at arrows into a composite state without outside links.
@@ -68,12 +66,10 @@ def _unused_name(name: str, states: dict[str, str]) -> str:
 
 def _add_title(chart: Chart) -> Chart:
     """Return a chart with its title prefixed to the labels of its outermost states."""
-    nodes = (
-        replace(node, label=f"{chart.title} {node.label}")
-        if node.inside is None and not node.label.startswith(chart.title)
-        else node
-        for node in chart.nodes
-    )
+    nodes = list(chart.nodes)
+    for k, node in enumerate(nodes):
+        if node.inside is None and not node.label.startswith(chart.title):
+            nodes[k] = replace(node, label=f"{chart.title} {node.label}")
     return replace(chart, nodes=tuple(nodes))
 
 
@@ -170,7 +166,6 @@ def _indent(lines: Iterable[str]) -> list[str]:
 
 
 def _escape(text: str) -> str:
-    encoded = _SPECIAL.sub(
-        lambda match: f"#{ord(match[0][0])};{match[0][1:]}", printable(text).strip()
-    )
+    text = printable(text).strip()
+    encoded = _SPECIAL.sub(lambda match: f"#{ord(match[0][0])};{match[0][1:]}", text)
     return encoded.replace("\n", "<br/>") or _BLANK

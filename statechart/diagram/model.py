@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from statechart.automaton.regions import Region
-from statechart.errors import StatechartError
+from statechart.tabular import pluralise
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -189,12 +189,6 @@ class Diagram:
         The regions, for SCXML.
     explained : tuple of Chart
         Charts of the legend, if not those shown.
-
-    Raises
-    ------
-    StatechartError
-        If names are not unique, a chart has several initial nodes, nesting is cyclic, or a link, a
-        path or a superstate is not a node of its chart.
     """
 
     title: str
@@ -208,36 +202,8 @@ class Diagram:
     """Return the diagram as SVG; set by `statechart.diagram.write`."""
 
     def __repr__(self) -> str:
-        states, links = len(self.nodes), len(self.links)
-        return (
-            f"<diagram of {self.title}: {states} state{'s' if states != 1 else ''}, "
-            f"{links} transition{'s' if links != 1 else ''}>"
-        )
-
-    def __post_init__(self) -> None:
-        names = [node.name for node in self.nodes]
-        if len(set(names)) < len(names):
-            twice = min(name for name in names if names.count(name) > 1)
-            raise StatechartError(f"diagram {self.title!r} has two states called {twice!r}")
-        for chart in (*self.charts, *self.pieces):
-            self._check(chart)
-
-    def _check(self, chart: Chart) -> None:
-        if sum(node.initial for node in chart.nodes) > 1:
-            raise StatechartError(f"diagram {self.title!r} has more than one initial state")
-        inside = {node.name: node.inside for node in chart.nodes}
-        ends = [end for link in chart.links for end in (link.source, link.target)]
-        for name in (*ends, *chart.path, *filter(None, inside.values())):
-            if name not in inside:
-                raise StatechartError(
-                    f"diagram {self.title!r} refers to {name!r}, which is none of its states"
-                )
-        for name in inside:
-            outer, steps = inside[name], 0
-            while outer is not None:
-                outer, steps = inside[outer], steps + 1
-                if steps > len(inside):
-                    raise StatechartError(f"in diagram {self.title!r} {name!r} encloses itself")
+        states, links = pluralise(len(self.nodes), "state"), len(self.links)
+        return f"<diagram of {self.title}: {states}, {pluralise(links, 'transition')}>"
 
     @property
     def graph(self) -> nx.MultiDiGraph | None:

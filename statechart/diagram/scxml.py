@@ -91,9 +91,8 @@ class _MachineWriter:
             self.root.set("initial", together)
             parent = ET.SubElement(self.root, "parallel", {"id": together})
         if self._starting:
-            run, before, self._started = unique_identifiers(
-                ["run", "starting", "started"], taken
-            ).values()
+            names = unique_identifiers(["run", "starting", "started"], taken)
+            run, before, self._started = names.values()
             whole = ET.SubElement(parent, "state", {"id": run, "initial": before})
             begin = ET.SubElement(whole, "state", {"id": before})
             ET.SubElement(begin, "transition", {"target": self._started})
@@ -131,11 +130,11 @@ class _MachineWriter:
     def _region(self, parent: ET.Element, region: Region, start: str, identifier: str) -> None:
         nesting, ids = region.nesting, self._ids[region.name]
         initial = nesting.initial.get("", start)
-        top = parent
-        if not identifier:
-            self.root.set("initial", ids[initial])
-        else:
+        if identifier:
             top = ET.SubElement(parent, "state", {"id": identifier, "initial": ids[initial]})
+        else:
+            top = parent
+            self.root.set("initial", ids[initial])
         leaving: dict[str, list[HierarchicalEdge]] = {}
         for edge in nesting.edges or hierarchical_edges(region):
             leaving.setdefault(edge.source, []).append(edge)
@@ -194,15 +193,13 @@ class _MachineWriter:
             event = f"{what}.{ids[choice.target]}" if several else what
             element = ET.SubElement(parent, "transition", {"event": event})
             if edge.events:
-                element.set(
-                    "event", " ".join(self._event_name(region, event) for event in edge.events)
-                )
-            if edge.events and edge.condition is None:
-                pass
-            elif (condition := self._relation(edge.condition or edge.guard)) is not None:
+                names = (self._event_name(region, event) for event in edge.events)
+                element.set("event", " ".join(names))
+            guard = edge.condition if edge.events else edge.guard
+            if guard is not None and (condition := self._relation(guard)) is not None:
                 element.set("cond", condition)
-            else:
-                element.set("diagram:guard", printable(edge.condition or edge.guard))
+            elif guard is not None:
+                element.set("diagram:guard", printable(guard))
                 self._lose("guards (the host program sends these events)", what)
             if not edge.static:
                 element.set("target", ids[choice.target])
@@ -219,12 +216,9 @@ class _MachineWriter:
     def _event_name(self, region: Region, event: str) -> str:
         """Return the name of an awaited event in SCXML."""
         owner, _, cause = event.rpartition(".")
-        if cause == DONE:
-            ends = {name: end for (name, state), end in self._ends.items() if state == owner}
-            if region.name in ends:
-                return ends[region.name]
-            if ends:
-                return " ".join(ends.values())
+        ends = {name: end for (name, state), end in self._ends.items() if state == owner}
+        if cause == DONE and ends:
+            return ends.get(region.name) or " ".join(ends.values())
         return spell_signs(event)
 
     def _assign(
@@ -241,17 +235,15 @@ class _MachineWriter:
             self._lose("updates with names or functions not in datamodel", what)
             return
         element = parent if tag is None else ET.SubElement(parent, tag)
-        later: list[tuple[str, str]] = []
+        later: dict[str, str] = {}
         for name, text in updates.items():
-            location = name
-            others = (parse(other).names for n, other in updates.items() if n != name)
-            if any(name in used for used in others):
-                location = f"new_{name}"
-                self._used[location] = None
-                later.append((name, location))
+            if any(name in parse(other).names for n, other in updates.items() if n != name):
+                later[name] = f"new_{name}"
+                self._used[later[name]] = None
             self._used[name] = None
-            ET.SubElement(element, "assign", {"location": location, "expr": str(text)})
-        for name, location in later:
+            assigned = {"location": later.get(name, name), "expr": str(text)}
+            ET.SubElement(element, "assign", assigned)
+        for name, location in later.items():
             ET.SubElement(element, "assign", {"location": name, "expr": location})
 
     def _relation(self, text: str) -> str | None:
@@ -262,9 +254,8 @@ class _MachineWriter:
             return None
         roots = [formula.root for formula in relation.formulas]
         exist = all(m.state in self._ids.get(m.region, {}) for m in relation.members)
-        return (
-            self._text(relation.root) if exist and self._is_expressible(relation, roots) else None
-        )
+        possible = exist and self._is_expressible(relation, roots)
+        return self._text(relation.root) if possible else None
 
     def _text(self, term: Term) -> str:
         match term:

@@ -22,9 +22,8 @@ def write(diagram: Diagram, path: Path, guards: Guards = "legend") -> None:
     """Write a diagram; svg, png and pdf need no Graphviz program and no installed fonts."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise StatechartError(
-            f"cannot draw to {str(path)!r}: its suffix must be one of {', '.join(SUFFIXES)}"
-        )
+        message = f"cannot draw to {str(path)!r}: its suffix must be one of {', '.join(SUFFIXES)}"
+        raise StatechartError(message)
     if not path.parent.is_dir():
         raise StatechartError(f"cannot write {str(path)!r}: there is no folder {path.parent}")
     with explain_os_errors("write", repr(str(path))):

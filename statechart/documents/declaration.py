@@ -12,25 +12,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, model_validator
 
-from statechart.documents import quantities
+from statechart.documents import fields, quantities
 from statechart.documents.documented import declare
 from statechart.documents.fields import TIME as TIME
-from statechart.documents.fields import (
-    ConstantText,
-    FormulaText,
-    Label,
-    NameText,
-    Part,
-    Real,
-    RelationText,
-    ValueCheck,
-    ValueName,
-    check_all,
-    check_names,
-    check_relation,
-    replace_fields,
-    value_of,
-)
 from statechart.documents.outputs import Integral, Output, check_output, formula_of
 from statechart.documents.settings import LATE_END, Settings, Stop
 from statechart.documents.validation import located
@@ -57,24 +41,22 @@ def _units(value: Any) -> Any:
         return dict(quantities.SYSTEMS[value])
     for name, unit in value.items() if isinstance(value, Mapping) else ():
         if isinstance(unit, str) and re.match(r"\s*[-+]?[0-9.]+\s*[^\s\d./]", unit):
-            raise DeclarationProblem(
-                f"{unit!r} is a quantity, and nothing is converted",
-                advice="write the unit alone, such as mm",
-                loc=(name,),
-            )
+            message = f"{unit!r} is a quantity, and nothing is converted"
+            advice = "write the unit alone, such as mm"
+            raise DeclarationProblem(message, advice=advice, loc=(name,))
     return value
 
 
 Units = Annotated[
-    dict[str, Label],
+    dict[str, fields.Label],
     BeforeValidator(
-        _units, json_schema_input_type=Literal["SI", "dimensionless"] | dict[str, Label]
+        _units, json_schema_input_type=Literal["SI", "dimensionless"] | dict[str, fields.Label]
     ),
 ]
 """Units of base dimensions and of names, or the name of a system of units."""
 
 
-class Declaration(Part):
+class Declaration(fields.Part):
     """Base of all models; `kind` is the first key of a document."""
 
     METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
@@ -88,19 +70,19 @@ class Declaration(Part):
     }
 
     kind: str = declare("Kind of the document.", "scene")
-    name: NameText = declare("Name of the model: letters, digits and _.", "toppling_stick")
+    name: fields.NameText = declare("Name of the model: letters, digits and _.", "toppling_stick")
     doc: str = declare(
         "Description of the model in one line.",
         "A stick balanced on its tip topples and may slip.",
         default="",
     )
-    parameters: dict[ValueName, ConstantText] = declare(
+    parameters: dict[fields.ValueName, fields.ConstantText] = declare(
         "Constants: numbers, or formulas of other parameters.",
         {"m": 1, "L": 0.5, "inertia": "m*L**2/3", "mu": 0.3},
         unit="that of each",
         default={},
     )
-    ranges: dict[str, tuple[Real, Real]] = declare(
+    ranges: dict[str, tuple[fields.Real, fields.Real]] = declare(
         "Ranges of parameters for checks: least and greatest value.",
         {"mu": [0, 2]},
         unit="that of the parameter",
@@ -111,12 +93,12 @@ class Declaration(Part):
         {"time": 5, "conditions": {"fallen": "stick.angle <= -pi/2"}},
         default=Stop(),
     )
-    invariants: dict[Label, RelationText] = declare(
+    invariants: dict[fields.Label, fields.RelationText] = declare(
         "Relations that hold during the whole run; check tests them, run reports them.",
         {"stays above": "stick.y >= 0"},
         default={},
     )
-    outputs: dict[NameText, Output] = declare(
+    outputs: dict[fields.NameText, Output] = declare(
         "Reported quantities: a value, integral, count, minimum or maximum.",
         {"t_slip": {"value": "time", "at": "first tip.slip"}},
         default={},
@@ -242,7 +224,7 @@ class Declaration(Part):
 
         return dump(self)
 
-    def with_(self, **values: FormulaText) -> Self:
+    def with_(self, **values: fields.FormulaText) -> Self:
         """Return the model with other values of parameters.
 
         Parameters
@@ -263,12 +245,11 @@ class Declaration(Part):
         """
         for name, text in values.items():
             if name not in self.parameters:
-                raise DeclarationError(
-                    f"no parameter {name!r}", advice=close_matches(name, self.parameters)
-                )
+                advice = close_matches(name, self.parameters)
+                raise DeclarationError(f"no parameter {name!r}", advice=advice)
             with located(None, {}, ("parameters", name)):
                 parse(text)
-        made = replace_fields(self, parameters={**self.parameters, **values})
+        made = fields.replace_fields(self, parameters={**self.parameters, **values})
         with located(None, {}):
             made.check_values(made.values())
         return made
@@ -325,17 +306,17 @@ class Declaration(Part):
         for name in self.units:
             with found:
                 if name not in named:
-                    raise DeclarationProblem(
-                        f"unknown name {name!r}",
-                        advice=close_matches(name, named),
-                        key=("units", name),
-                    )
+                    message = f"unknown name {name!r}"
+                    advice = close_matches(name, named)
+                    raise DeclarationProblem(message, advice=advice, key=("units", name))
         for label, relation in self.stop.conditions.items():
             with found:
-                check_relation(relation, names, states, changing, "stop", "conditions", label)
+                fields.check_relation(
+                    relation, names, states, changing, "stop", "conditions", label
+                )
         for label, relation in self.invariants.items():
             with found:
-                check_relation(relation, names, states, changing, "invariants", label)
+                fields.check_relation(relation, names, states, changing, "invariants", label)
         for label, output in self.outputs.items():
             with found:
                 check_output(output, names, states, causes, "outputs", label)
@@ -343,21 +324,19 @@ class Declaration(Part):
 
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check the values of the parameters; raise `DeclarationProblem`."""
-        check_all(self.value_checks(), values)
+        fields.check_all(self.value_checks(), values)
 
-    def value_checks(self) -> Iterator[ValueCheck]:
+    def value_checks(self) -> Iterator[fields.ValueCheck]:
         """Yield the checks of the values of the parameters; kinds of models extend it."""
         if self.stop.time is not None:
-            yield ValueCheck(parse(self.stop.time).names, self._check_end)
+            yield fields.ValueCheck(parse(self.stop.time).names, self._check_end)
 
     def _check_end(self, values: Mapping[str, float]) -> None:
-        end = value_of(self.stop.time or 0, values, "stop", "time")
+        end = fields.value_of(self.stop.time or 0, values, "stop", "time")
         if not 0.0 <= end < math.inf:
-            raise DeclarationProblem(
-                f"must be a finite time from 0 on, not {end:g}",
-                advice=LATE_END if end == math.inf else "",
-                loc=("stop", "time"),
-            )
+            message = f"must be a finite time from 0 on, not {end:g}"
+            advice = LATE_END if end == math.inf else ""
+            raise DeclarationProblem(message, advice=advice, loc=("stop", "time"))
 
     def check_ranges(self) -> None:
         """Check the model at the ends of every range; the last validator of a kind.
@@ -382,11 +361,9 @@ class Declaration(Part):
         for name, ends in self.ranges.items():
             whole = (math.ceil(ends[0]), math.floor(ends[1])) if name in self.whole else ends
             if whole[0] > whole[1]:
-                raise DeclarationProblem(
-                    f"{name!r} is a whole number: none is from {ends[0]:g} to {ends[1]:g}",
-                    advice=f"write [{whole[1]}, {whole[0]}]",
-                    loc=("ranges", name),
-                )
+                message = f"{name!r} is a whole number: none is from {ends[0]:g} to {ends[1]:g}"
+                advice = f"write [{whole[1]}, {whole[0]}]"
+                raise DeclarationProblem(message, advice=advice, loc=("ranges", name))
             for place, end in enumerate(whole):
                 try:
                     values = {**base, name: float(end)}
@@ -399,33 +376,30 @@ class Declaration(Part):
                         if isinstance(error, DeclarationProblem)
                         else ("parameters", error.name)
                     )
+                    message = f"with {name} = {end:g}, {{see}}: {error.message}"
+                    advice = "narrow the range to values of valid models"
                     raise DeclarationProblem(
-                        f"with {name} = {end:g}, {{see}}: {error.message}",
-                        advice="narrow the range to values of valid models",
-                        loc=("ranges", name, place),
-                        see=at,
+                        message, advice=advice, loc=("ranges", name, place), see=at
                     ) from None
 
     @model_validator(mode="after")
     def _parameters_have_values(self) -> Self:
         if TIME in self.parameters:
-            raise DeclarationProblem(
-                f"{TIME!r} is the time of the run",
-                advice="choose another name",
-                key=("parameters", TIME),
-            )
+            message = f"{TIME!r} is the time of the run"
+            advice = "choose another name"
+            raise DeclarationProblem(message, advice=advice, key=("parameters", TIME))
         found = Findings()
         for name, text in self.parameters.items():
             with found:
-                check_names(parse(text), self.parameters, "parameters", name)
+                fields.check_names(parse(text), self.parameters, "parameters", name)
         found.check()
         try:
             values = self.values()
         except FormulaError as error:
             raise error.problem("parameters", error.name) from None
         if self.stop.time is not None:
-            check_names(parse(self.stop.time), self.parameters, "stop", "time")
-        check_all(Declaration.value_checks(self), values)
+            fields.check_names(parse(self.stop.time), self.parameters, "stop", "time")
+        fields.check_all(Declaration.value_checks(self), values)
         return self
 
     @model_validator(mode="after")
@@ -434,17 +408,13 @@ class Declaration(Part):
         for name, (least, greatest) in self.ranges.items():
             with found:
                 if name not in self.parameters:
-                    raise DeclarationProblem(
-                        f"no parameter {name!r}",
-                        advice=close_matches(name, self.parameters),
-                        key=("ranges", name),
-                    )
+                    message = f"no parameter {name!r}"
+                    advice = close_matches(name, self.parameters)
+                    raise DeclarationProblem(message, advice=advice, key=("ranges", name))
                 if least > greatest:
-                    raise DeclarationProblem(
-                        "the least value comes first",
-                        advice=f"write [{greatest:g}, {least:g}]",
-                        loc=("ranges", name),
-                    )
+                    message = "the least value comes first"
+                    advice = f"write [{greatest:g}, {least:g}]"
+                    raise DeclarationProblem(message, advice=advice, loc=("ranges", name))
         found.check()
         return self
 

@@ -72,10 +72,8 @@ class Documented(ModelMetaclass):
         """Create a part."""
         if args:
             name = next((name for name, _ in _fields(cls)), "")
-            raise DeclarationError(
-                f"{cls.__name__}: fields are given by their names",
-                advice=f"write {cls.__name__}({name}=...)",
-            )
+            message = f"{cls.__name__}: fields are given by their names"
+            raise DeclarationError(message, advice=f"write {cls.__name__}({name}=...)")
         try:
             return super().__call__(**kwargs)
         except ValidationError as error:
@@ -93,23 +91,17 @@ class Documented(ModelMetaclass):
         if not own:
             return None
         # Fields without a description have theirs in the docstring.
-        shown = "\n".join(
-            _field_text(name, field) for name, field in _fields(cls) if field.description
-        )
+        shown = "\n".join(_field_text(*field) for field in _fields(cls) if field[1].description)
         return f"{inspect.cleandoc(own)}\n\nParameters\n----------\n{shown}" if shown else own
 
     @property
     def __signature__(cls) -> inspect.Signature:
-        return inspect.Signature(
-            [
-                inspect.Parameter(
-                    name,
-                    inspect.Parameter.KEYWORD_ONLY,
-                    default=inspect.Parameter.empty if field.is_required() else field.default,
-                )
-                for name, field in _fields(cls)
-            ]
-        )
+        parts = []
+        for name, field in _fields(cls):
+            default = inspect.Parameter.empty if field.is_required() else field.default
+            kind = inspect.Parameter.KEYWORD_ONLY
+            parts.append(inspect.Parameter(name, kind, default=default))
+        return inspect.Signature(parts)
 
     @__signature__.setter
     def __signature__(cls, value: object) -> None:
@@ -140,7 +132,6 @@ def _field_text(name: str, field: FieldInfo) -> str:
 
 
 def _type(annotation: Any) -> str:
-    """Return a type as text."""
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _type(arguments[0])

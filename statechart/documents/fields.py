@@ -64,9 +64,8 @@ def check_named_infinity(
     """Raise `DeclarationProblem` at `loc` if a formula contains `inf`."""
     formula = parse(text)
     if formula.names_infinity:
-        raise DeclarationProblem(
-            f"formula {formula.text!r}: must be finite", advice=advice, loc=loc
-        )
+        message = f"formula {formula.text!r}: must be finite"
+        raise DeclarationProblem(message, advice=advice, loc=loc)
 
 
 def _without_infinity(value: str | int | float) -> str | int | float:
@@ -84,9 +83,8 @@ def _relation(value: str) -> str:
         # On its boundary the derivatives of a margin decide.
         check_derived(tree.Binary("-", one.left.root, one.right.root), relation.names)
     if any(formula.names_infinity for formula in relation.formulas):
-        raise DeclarationProblem(
-            f"formula {value!r}: nothing is compared with infinity", advice="write a finite number"
-        )
+        message = f"formula {value!r}: nothing is compared with infinity"
+        raise DeclarationProblem(message, advice="write a finite number")
     return value
 
 
@@ -112,17 +110,15 @@ def _name(value: str) -> str:
         raise DeclarationProblem(f"{value!r} is not a name", advice=no_name(value))
     if value in tree.RESERVED:
         kind = "function" if value in tree.FUNCTIONS else "constant"
-        raise DeclarationProblem(
-            f"{value!r} is a {kind} of formulas", advice=f"write another name, such as {value}_1"
-        )
+        advice = f"write another name, such as {value}_1"
+        raise DeclarationProblem(f"{value!r} is a {kind} of formulas", advice=advice)
     return value
 
 
 def _value_name(value: str) -> str:
     if value in tree.WORDS:
-        raise DeclarationProblem(
-            f"{value!r} is a word of relations", advice=f"write another name, such as {value}_1"
-        )
+        advice = f"write another name, such as {value}_1"
+        raise DeclarationProblem(f"{value!r} is a word of relations", advice=advice)
     return value
 
 
@@ -157,7 +153,6 @@ Label = Annotated[str, Field(min_length=1, max_length=200)]
 
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 """A finite number, not text."""
-
 
 AnyPart = TypeVar("AnyPart", bound=BaseModel)
 
@@ -224,10 +219,7 @@ def check_relation(
     changing: Collection[str],
     *loc: str | int,
 ) -> None:
-    """Check names and states of a relation, and that equalities are of piecewise constants.
-
-    Raises `DeclarationProblem` at the first fault.
-    """
+    """Check names and states of a relation, and that equalities are of piecewise constants."""
     relation = parse_relation(text)
     check_names(relation, names, *loc)
     try:
@@ -300,19 +292,14 @@ def check_smooth(
     for call in tree.calls_in(parse(text).root, KINKED):
         switched = {name.name for name in tree.names_in(call)}.intersection(variables)
         if switched:
-            raise DeclarationProblem(
-                f"{call.function} of {', '.join(sorted(switched))} has no {lacks} where it "
-                "switches",
-                advice=advice,
-                loc=loc,
+            message = (
+                f"{call.function} of {', '.join(sorted(switched))} has no {lacks} where it switches"
             )
+            raise DeclarationProblem(message, advice=advice, loc=loc)
     rooted = sorted(_under_roots(text).intersection(variables)) if roots else []
     if rooted:
-        raise DeclarationProblem(
-            f"the root of a square of {', '.join(rooted)} has no {lacks} where it is zero",
-            advice=advice,
-            loc=loc,
-        )
+        message = f"the root of a square of {', '.join(rooted)} has no {lacks} where it is zero"
+        raise DeclarationProblem(message, advice=advice, loc=loc)
 
 
 def _under_roots(text: str | int | float) -> set[str]:
@@ -337,19 +324,15 @@ def check_derived(
     """Raise `DeclarationProblem` if the derivatives of a formula are too large to be built."""
     nested = _nesting_depth(root)
     if nested > MAX_NESTED:
-        raise DeclarationProblem(
-            f"{nested} nested functions are too many to differentiate",
-            advice=f"at most {MAX_NESTED}; nest fewer functions",
-            loc=loc,
-        )
+        message = f"{nested} nested functions are too many to differentiate"
+        advice = f"at most {MAX_NESTED}; nest fewer functions"
+        raise DeclarationProblem(message, advice=advice, loc=loc)
     size = _formula_sizes(root, variables)[order]
     if size > MAX_DERIVED:
         which = "second derivative" if order == 2 else "derivative"
-        raise DeclarationProblem(
-            f"its {which} has about {size} operations, at most {MAX_DERIVED} are allowed",
-            advice="nest fewer functions and products; a sum may have many terms",
-            loc=loc,
-        )
+        message = f"its {which} has about {size} operations, at most {MAX_DERIVED} are allowed"
+        advice = "nest fewer functions and products; a sum may have many terms"
+        raise DeclarationProblem(message, advice=advice, loc=loc)
 
 
 def _nesting_depth(node: tree.Node) -> int:

@@ -19,10 +19,7 @@ from statechart.errors import DeclarationError, StatechartError
 
 
 def read_bounded(path: Path, most: int, advice: str) -> bytes:
-    """Return at most `most` + 1 bytes of a regular file.
-
-    Raises `DeclarationError` if it is missing, not a regular file, or unreadable.
-    """
+    """Return at most `most` + 1 bytes of a regular file, or raise `DeclarationError`."""
     source = str(path)
     try:
         if path.is_dir():
@@ -39,11 +36,7 @@ def read_bounded(path: Path, most: int, advice: str) -> bytes:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file atomically.
-
-    Raises `OSError` if the folder is missing or not writable, or the disk is full; `path` is then
-    unchanged.
-    """
+    """Write a file atomically; after an `OSError`, as of a full disk, it is unchanged."""
     _sweep(path.parent, path.name)
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=_prefix(path.name))
     try:
@@ -141,19 +134,15 @@ def _sweep(place: Path, name: str) -> None:
         if match is None or _is_alive(int(match[1])) or (place / found).is_symlink():
             continue
         with suppress(OSError):
-            if (place / found).is_dir():
-                shutil.rmtree(place / found)
-            else:
-                (place / found).unlink()
+            remove = shutil.rmtree if (place / found).is_dir() else os.unlink
+            remove(place / found)
 
 
 def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):  # another user's
-        return True
+    except (OSError, OverflowError) as error:
+        return not isinstance(error, ProcessLookupError)  # else another user's
     return True
 
 

@@ -66,7 +66,6 @@ YAML_HINTS: Mapping[str, str] = {
 }
 """Words of a YAML error message -> advice; `line` names another line, on which a bracket opens."""
 
-
 OTHER_VALUES: Mapping[str, str] = {
     **dict.fromkeys(("stick", "sticking", "stuck", "fixed", "roll", "rolling"), "pin"),
     **dict.fromkeys(("slip", "slipping", "sliding"), "slide"),
@@ -149,11 +148,9 @@ def one_value(loc: Sequence[str | int], value: object) -> str:
 
 def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, str]:
     """Return key -> field name in Python of the mapping at `loc`."""
-    return {
-        field.alias or name: name
-        for member in _models(_annotations_at(model, loc))
-        for name, field in member.model_fields.items()
-    }
+    members = _models(_annotations_at(model, loc))
+    fields = (pair for member in members for pair in member.model_fields.items())
+    return {field.alias or name: name for name, field in fields}
 
 
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
@@ -267,7 +264,6 @@ def _walk(
 
 
 def _annotations_at(model: type[BaseModel], loc: Sequence[str | int]) -> list[Any]:
-    """Return the annotations at `loc`."""
     return [[model], *(annotations for _, annotations, _ in _walk(model, loc))][-1]
 
 
@@ -388,10 +384,8 @@ def _argument(word: str, value: object, known: list[str]) -> str:
     if meant in known:
         return f"write {meant}=...; known: {listed}"
     if meant in {part.name for part in fields(Setting)}:
-        return (
-            f"pass it to a runner, Runner(model, {meant}=...), or write it into the settings; "
-            f"known: {listed}"
-        )
+        runner = f"pass it to a runner, Runner(model, {meant}=...)"
+        return f"{runner}, or write it into the settings; known: {listed}"
     advice = close_matches(word, known)
     if "over" in known and hasattr(value, "__len__") and not advice.startswith("did"):
         return f"to sweep a parameter, write over={{{word!r}: [...]}}; {advice}"

@@ -80,10 +80,8 @@ def _parse_moment(text: str) -> Moment:
             if when != "each" and int(most[1]) > 0:
                 return Moment(when, parse_events(events[most.end() :]), int(most[1]))
     event = text if re.fullmatch(r"[\w.]+", text) else "CAUSE"
-    raise DeclarationProblem(
-        f"{text!r} is not a moment",
-        advice=f"write first {event}, last {event}, each {event}, first 10 {event}, start or end",
-    )
+    advice = f"write first {event}, last {event}, each {event}, first 10 {event}, start or end"
+    raise DeclarationProblem(f"{text!r} is not a moment", advice=advice)
 
 
 def _that(parse: Callable[[str], object]) -> AfterValidator:
@@ -244,16 +242,13 @@ def check_output(
         for region, state in output.during.items():
             check_member("region", region, states, *loc, "during", region)
             check_member("state", state, states[region], *loc, "during", region)
-    found: dict[str, tuple[Event, ...]] = {}
-    if isinstance(output, Value):
-        found = {"at": output.moment.events}
-    elif isinstance(output, Count):
-        found = {"count": output.events}
-    for key, events in found.items():
-        for event in events:
-            # `stop` belongs to no region.
-            if event != Event(None, "stop"):
-                check_event(event, causes, states, *loc, key)
+    key, events = "at", output.moment.events if isinstance(output, Value) else ()
+    if isinstance(output, Count):
+        key, events = "count", output.events
+    for event in events:
+        # `stop` belongs to no region.
+        if event != Event(None, "stop"):
+            check_event(event, causes, states, *loc, key)
 
 
 def check_event(
@@ -264,15 +259,12 @@ def check_event(
 ) -> None:
     """Raise `DeclarationProblem` if an event does not exist."""
     every = {name: {*found, *states.get(name, ())} for name, found in causes.items()}
-    if event.region is None:
-        known = set[str]().union(*causes.values())
-    else:
-        known = every.get(event.region, set())
+    own = causes.values() if event.region is None else [every.get(event.region, ())]
+    known = set[str]().union(*own)
     if event.cause not in known and (meant := OTHER_EVENTS.get(event.cause.lower())) in known:
         owner = "" if event.region is None else f"{event.region}."
-        raise DeclarationProblem(
-            f"no cause or state {event.cause!r}", advice=f"write {owner}{meant}", loc=loc
-        )
+        advice = f"write {owner}{meant}"
+        raise DeclarationProblem(f"no cause or state {event.cause!r}", advice=advice, loc=loc)
     if event.region is None:
         check_member("cause or state", event.cause, known, *loc)
     elif event.cause not in known:

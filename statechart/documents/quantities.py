@@ -118,11 +118,7 @@ def unit_text(powers: Powers | None, units: Mapping[str, str]) -> str:
     texts = {base: units.get(base, "") for base in BASES} | {"force": _force(units)}
     plain = {"mass": mass, "length": length, "time": time}
     forces = {"force": mass, "length": length - mass, "time": time + 2 * mass}
-    ways = [
-        way
-        for way in (plain, forces)
-        if all(texts[base] for base, exponent in way.items() if exponent)
-    ]
+    ways = [w for w in (plain, forces) if all(texts[base] for base, power in w.items() if power)]
     if not ways:
         return ""
     # The shorter one: N/m for a spring, kg m2 for a moment of inertia.

@@ -84,30 +84,9 @@ class SettingWords(IntegrationWords, total=False):
 
 @dataclass(frozen=True)
 class Setting:
-    """The engine of a run and its settings; None for defaults.
+    """The engine of a run and its settings, as the parameters of `Runner`; None for defaults.
 
-    Attributes
-    ----------
-    engine : str or None
-        auto, taylor, scipy or impulse.
-    method : str or None
-        RK45, DOP853, Radau or LSODA, of scipy; `LONG_DOUBLE`, of taylor.
-    tolerance : float or None
-        Relative tolerance of every step.
-    accuracy : float or None
-        Allowed relative error of the result: tolerances or steps are reduced until the estimated
-        error is below it.
-    step : float or None
-        Time step of the engine impulse; with an accuracy, the longest one.
-    budget : float or None
-        Seconds: tolerances are tightened as long as there is time.
-    max_step : float or None
-        Longest time step of an engine with step size control.
-    impulse_tolerance, impulse_bound : float or None
-        Residuals of the contact impulses in a step of impulse, relative to its fastest approach
-        velocity: above the first, steps are counted in a warning; above the second the run ends.
-    record : str or None
-        Recording of the engine impulse: modes, poses or nothing.
+    A further `method`, of taylor, is "long double".
     """
 
     engine: str | None = None
@@ -132,50 +111,37 @@ class Setting:
         for what in _BOUNDS:
             value = getattr(self, what)
             if value is not None and not is_real(value):
-                raise DeclarationProblem(
-                    f"{what} must be a number, not {describe_value(value)}", loc=(what,)
-                )
+                message = f"{what} must be a number, not {describe_value(value)}"
+                raise DeclarationProblem(message, loc=(what,))
         engine = self.engine or "auto"
         self._check_engine(engine)
         self._check_record(engine)
         finders = ("tolerance", "accuracy", "budget")
         named = [what for what in finders if getattr(self, what) is not None]
         if len(named) > 1:
-            self._refuse(
-                named[1:],
-                f"{' and '.join(named)} exclude each other",
-                "give one; accuracy and budget choose the tolerance themselves",
-            )
+            advice = "give one; accuracy and budget choose the tolerance themselves"
+            self._refuse(named[1:], f"{' and '.join(named)} exclude each other", advice)
         self._check_bounds()
 
     def _check_engine(self, engine: str) -> None:
         """Check that an engine supports all settings."""
         if engine == "impulse":
-            self._refuse(
-                ("method", "tolerance", "budget", "max_step"),
-                "the engine impulse has no {}",
-                "give a step, which decides its error, or an accuracy",
-            )
+            unused = "method", "tolerance", "budget", "max_step"
+            advice = "give a step, which decides its error, or an accuracy"
+            self._refuse(unused, "the engine impulse has no {}", advice)
         elif engine != "auto":  # the model decides which engine that is
             self.check_no_steps()
         if engine == "taylor" and self.method != LONG_DOUBLE:
-            self._refuse(
-                ("method",),
-                f"the engine taylor has no method {self.method!r}",
-                "leave the method out, or take the engine scipy",
-            )
+            message = f"the engine taylor has no method {self.method!r}"
+            self._refuse(["method"], message, "leave the method out, or take the engine scipy")
 
     def check_no_steps(self) -> None:
         """Check that nothing is set that only the engine impulse has: `OF_STEPS`."""
         step, *others = OF_STEPS
-        self._refuse(
-            (step,),
-            f"the engine {self.engine} chooses its own steps",
-            "add --engine impulse, in a file engine: impulse, or remove the step",
-        )
-        self._refuse(
-            others, f"the engine {self.engine} has no {{}}", "remove it, or take the engine impulse"
-        )
+        advice = "add --engine impulse, in a file engine: impulse, or remove the step"
+        self._refuse([step], f"the engine {self.engine} chooses its own steps", advice)
+        advice = "remove it, or take the engine impulse"
+        self._refuse(others, f"the engine {self.engine} has no {{}}", advice)
 
     def _refuse(self, parts: Sequence[str], message: str, advice: str) -> None:
         """Raise an error at the first of the parts that is set."""
@@ -202,21 +168,14 @@ class Setting:
         if self.record is None or self.record == Record.MODES.value:
             return
         if self.record not in kinds:
-            raise DeclarationProblem(
-                f"record must be one of {', '.join(kinds)}, not {self.record!r}", loc=("record",)
-            )
+            message = f"record must be one of {', '.join(kinds)}, not {self.record!r}"
+            raise DeclarationProblem(message, loc=("record",))
         if engine not in ("impulse", "auto"):
-            self._refuse(
-                ("record",),
-                f"the engine {engine} always records modes",
-                "remove record, or take the engine impulse",
-            )
+            message = f"the engine {engine} always records modes"
+            self._refuse(["record"], message, "remove record, or take the engine impulse")
         if self.accuracy is not None:
-            self._refuse(
-                ("record",),
-                "an accuracy needs the events of runs, and so record: modes",
-                "remove record, or give a step",
-            )
+            message = "an accuracy needs the events of runs, and so record: modes"
+            self._refuse(["record"], message, "remove record, or give a step")
 
     @property
     def recorded(self) -> Record:

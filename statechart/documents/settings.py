@@ -26,7 +26,6 @@ def _constant_value(value: Any) -> Any:
 Written = Annotated[Real, BeforeValidator(_constant_value, json_schema_input_type=float | str)]
 """A number, or a formula of numbers."""
 
-
 LATE_END = "write a late one; a condition of stop ends the run earlier"
 """Advice on an end that is not finite."""
 

@@ -5,21 +5,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from statechart.documents.hints import (
-    example,
-    known_keys,
-    one_value,
-    other_value,
-    other_word,
-    sections_with_key,
-    word_elsewhere,
-)
+from statechart.documents import hints
 from statechart.documents.setting import describe_value, is_real
 from statechart.documents.yaml_text import flow
 from statechart.errors import (
@@ -56,7 +48,6 @@ _EXPECTED: Mapping[str, str] = {
     "none_required": "null",
     "formula_type": "a number or a formula",
 }
-
 
 # Errors of form, for which an example is shown.
 _SHAPES = frozenset({*_EXPECTED, "output", "too_short", "too_long"})
@@ -138,7 +129,7 @@ def _is_implied(
             other["type"] == "extra_forbidden"
             and (
                 difflib.get_close_matches(str(other["loc"][-1]), [str(name)])
-                or other_word(model, other["loc"]).partition(":")[0] in (*outer, name)
+                or hints.other_word(model, other["loc"]).partition(":")[0] in (*outer, name)
             )
             for other in beside[tuple(outer)]
         )
@@ -152,7 +143,7 @@ def _empty(
     for loc in document.empty:
         if loc[-1] in unknown:
             continue
-        shown = example(model, loc, built=False)
+        shown = hints.example(model, loc, built=False)
         at = document.position(loc, key=True)
         # Keys that should be indented below it are unknown in its column.
         below = unknown and shown.startswith("{")
@@ -197,7 +188,6 @@ def _key(details: ErrorDetails) -> str | int | None:
 
 
 def _lacks_items(details: ErrorDetails) -> bool:
-    """Return whether a list is too short."""
     return details["type"] == "missing" and isinstance(details["loc"][-1], int)
 
 
@@ -214,11 +204,11 @@ def _to_error(
         key, offset = key or cause.at_key, cause.offset
         message, advice = _message(document, cause), cause.advice
     else:
-        names = known_keys(model, loc[:-1])
+        names = hints.known_keys(model, loc[:-1])
         built = isinstance(document, Built)
         wanted = Mapping if _EXPECTED.get(kind) == "a mapping" else object
         wanted = list if kind in ("too_long", "too_short") else wanted
-        shown = example(model, loc, built=built, wanted=wanted)
+        shown = hints.example(model, loc, built=built, wanted=wanted)
         if built and not _lacks_items(details):  # Python uses field names, not aliases
             details = {**details, "loc": (*loc[:-1], names.get(str(loc[-1]), loc[-1]))}
         known = names.values() if built else names
@@ -228,11 +218,11 @@ def _to_error(
         if kind == "missing" and isinstance(loc[-1], str) and shown:
             name = details["loc"][-1]
             advice = f"such as {name}={shown}" if built else f"such as {name}: {shown}"
-        elif kind == "model_type" and loc[-1] in known_keys(model, loc):
+        elif kind == "model_type" and loc[-1] in hints.known_keys(model, loc):
             value = flow(details["input"])
             advice = f"it belongs below a name, such as NAME: {{{loc[-1]}: {value}}}"
         elif kind in _SHAPES and shown and not advice:
-            advice = one_value(loc, details["input"]) or f"such as {shown}"
+            advice = hints.one_value(loc, details["input"]) or f"such as {shown}"
     # Missing and unknown keys have the path of their part, or a position alone.
     of_part = kind in ("extra_forbidden", "missing")
     place = document.existing(loc[:-1] if of_part else loc)
@@ -249,7 +239,7 @@ def _key_advice(details: ErrorDetails, model: type[BaseModel], known: Collection
     key = str(loc[-1])
     if ":" in key:
         return "a colon has a blank behind it: key: value"
-    if written := other_word(model, loc):
+    if written := hints.other_word(model, loc):
         return f"write {written}"
     word, brace, value = key.partition("{")
     if brace and isinstance(details["input"], str | int | float):
@@ -261,7 +251,7 @@ def _key_advice(details: ErrorDetails, model: type[BaseModel], known: Collection
                 return f"write {word}: {value}"
             return f"a comma in braces ends a value; a list stands in brackets: [..., {key}]"
         return no_name(key) if " " not in key or key.replace(" ", "_") in known else ""
-    return sections_with_key(model, loc, known) or word_elsewhere(model, key)
+    return hints.sections_with_key(model, loc, known) or hints.word_elsewhere(model, key)
 
 
 def _message_and_advice(
@@ -301,32 +291,28 @@ def _message_and_advice(
         return f"must be {_EXPECTED[kind]}, not {shown}", ""
     if kind == "output" and isinstance(value, Mapping) and value:
         word, message = str(next(iter(value))), context.get("message", details["msg"])
-        return f"{message}, not {word!r}", other_value(
+        return f"{message}, not {word!r}", hints.other_value(
             word, "'value', 'integral', 'minimum', 'maximum'"
         )
     if kind == "output" and isinstance(value, str | int | float) and not built:
-        return (
-            f"{context.get('message', details['msg'])}; got {shown}",
-            f"write {flow({'value': value})}",
-        )
+        message = context.get("message", details["msg"])
+        return f"{message}; got {shown}", f"write {flow({'value': value})}"
     if kind == "union_tag_invalid":
         tags = context["expected_tags"]
-        return f"must be one of {tags}, not {context['tag']!r}", other_value(context["tag"], tags)
+        return f"must be one of {tags}, not {context['tag']!r}", hints.other_value(
+            context["tag"], tags
+        )
     if kind == "too_short":
-        least = context["min_length"]
-        value = context["actual_length"] or "none"
-        return f"must have at least {least} item{'s' if least != 1 else ''}, not {value}", ""
+        least = pluralise(context["min_length"], "item")
+        return f"must have at least {least}, not {context['actual_length'] or 'none'}", ""
     if kind == "literal_error":
         expected = context["expected"]
-        return f"must be {expected}, not {shown}", other_value(value, expected)
+        return f"must be {expected}, not {shown}", hints.other_value(value, expected)
     return f"{details['msg'].replace('Input should', 'must', 1)}; got {shown}", ""
 
 
 def validate(document: Document, model: type[Model]) -> Model:
-    """Build `model` from a document.
-
-    Raises `DeclarationError` with the position of the first wrong field, and `others`.
-    """
+    """Build `model` from a document; raise `DeclarationError` with positions of wrong fields."""
     try:
         # Documents use aliases (`from`), not Python names.
         made = model.model_validate(document.data, by_alias=True, by_name=False)
@@ -389,13 +375,8 @@ def _locate_in_list(
         return problem
     place, offset = place_in(texts, problem.offset)
     old, new = Source(problem.text).named, Source(texts[place]).named
-    return DeclarationProblem(
-        problem.message.replace(old, new),
-        advice=problem.advice,
-        loc=(*problem.loc, place),
-        offset=offset,
-        see=problem.see,
-    )
+    message = problem.message.replace(old, new)
+    return replace(problem, message=message, loc=(*problem.loc, place), offset=offset)
 
 
 def _locate(
@@ -415,11 +396,8 @@ def _locate(
 
 def may_be_relations(value: object) -> bool:
     """Return whether a value may be a list of relations."""
-    return (
-        isinstance(value, list | tuple)
-        and len(value) > 0
-        and all(isinstance(one, str) for one in value)
-    )
+    several = isinstance(value, list | tuple) and all(isinstance(one, str) for one in value)
+    return several and value not in ([], ())
 
 
 @dataclass(frozen=True)
@@ -441,10 +419,7 @@ class Document:
         return self._keys.get(at, self._values[at]) if key else self._values[at]
 
     def where(self, text: str) -> Loc:
-        """Return the place of the first value equal to `text`, or a list with this conjunction.
-
-        The top if there is none.
-        """
+        """Return the place of the first value, or conjunction of a list, equal to `text`."""
         for loc in self._values:
             value = self.value(loc)
             if value == text or (may_be_relations(value) and conjunction(value) == text):
@@ -498,10 +473,9 @@ class Built:
             if isinstance(value, BaseModel):
                 fields = type(value).model_fields.items()
                 names = [name for name, field in fields if part in (name, field.alias)]
+            built = isinstance(value, BaseModel)
             for name in names:
                 with suppress(KeyError, IndexError, TypeError):
-                    value = (
-                        getattr(value, str(name)) if isinstance(value, BaseModel) else value[name]
-                    )
+                    value = getattr(value, str(name)) if built else value[name]
                     found.append(name)
         return tuple(found), value

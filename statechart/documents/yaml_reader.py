@@ -35,49 +35,30 @@ MAX_VALUES = 60_000
 MAX_DEPTH = 32
 
 
-# First bytes of files of other formats.
-_OTHERS = {
-    b"%PDF": "a PDF",
-    b"\x89PNG": "a picture",
-    b"\xff\xd8\xff": "a picture",
-    b"PK\x03\x04": "a ZIP archive, or a document of an office program",
-    b"\x1f\x8b": "a compressed file",
-}
-
-
 def read(path: Path) -> Document:
-    """Read a YAML file.
-
-    Raises `DeclarationError` if it is missing, unreadable, not UTF-8, or not a valid document.
-    """
+    """Read a YAML file; raise `DeclarationError` if it is missing or no valid document."""
     source = str(path)
     raw = read_bounded(path, MAX_BYTES, "name a YAML file")
-    for begin, what in _OTHERS.items():
-        if raw.startswith(begin):
-            raise Position(source, 1, 1).error(f"this is {what}", "name a YAML file")
     try:
         # A file that is too long may be cut inside a character; read_text refuses it.
         text = raw.decode("utf-8-sig", "ignore" if len(raw) > MAX_BYTES else "strict")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         column = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
-        raise Position(source, line, column).error(
-            f"the byte 0x{raw[error.start]:02x} is not UTF-8", "save the file as UTF-8"
-        ) from None
+        message = f"the byte 0x{raw[error.start]:02x} is not UTF-8"
+        raise Position(source, line, column).error(message, "save the file as UTF-8") from None
     return read_text(text if len(raw) <= MAX_BYTES else " " * (MAX_BYTES + 1), source)
 
 
 def _lines(text: str) -> list[str]:
-    """Return the lines of a text, and an empty one behind it."""
     return [*re.split(r"\r\n|\r|\n", text), ""]
 
 
 def read_text(text: str, source: str = "<text>") -> Document:
     """Read YAML text; raise `DeclarationError` if it is not a valid document."""
     if len(text) > MAX_BYTES:
-        raise DeclarationError(
-            f"more than {MAX_BYTES // 1024} KiB", advice="a model is a page or two", source=source
-        )
+        advice = "a model is a page or two"
+        raise DeclarationError(f"more than {MAX_BYTES // 1024} KiB", advice=advice, source=source)
     return _Builder(source).build(text)
 
 
@@ -131,26 +112,23 @@ class _Builder:
         for at, written in list(enumerate(_lines(text)))[max(0, line - 1) : line + 1]:
             for column, one in enumerate(written):
                 if one.isspace() and one not in " \t\r":
-                    raise self._at(at, column).error(
-                        f"not YAML: the blank U+{ord(one):04X}", character(one)
-                    ) from None
+                    message = f"not YAML: the blank U+{ord(one):04X}"
+                    raise self._at(at, column).error(message, character(one)) from None
 
     def _check_equals(self, text: str, line: int) -> None:
         """Refuse `name = value`."""
         written = _lines(text)[line]
         if "=" in written:
-            raise self._at(line, written.index("=")).error(
-                "a key has a colon", no_name(written.strip())
-            ) from None
+            advice = no_name(written.strip())
+            raise self._at(line, written.index("=")).error("a key has a colon", advice) from None
 
     def _check_colon(self, text: str, line: int) -> None:
         """Refuse a key without a colon, or without a blank behind it, above a line."""
         lines = _lines(text)
         for at in range(max(line - 1, 0), line + 1):
             if lines[at].lstrip().startswith("//"):
-                raise self._at(at, lines[at].index("//")).error(
-                    "not YAML: '//'", "write a comment after #"
-                ) from None
+                advice = "write a comment after #"
+                raise self._at(at, lines[at].index("//")).error("not YAML: '//'", advice) from None
         above = max((k for k in range(line) if lines[k].strip()), default=line)
         indent = len(lines[line]) - len(lines[line].lstrip())
         for at in (above, line):
@@ -168,9 +146,8 @@ class _Builder:
     def _document(self, parsed: Iterator[events.Event], text: str) -> dict[str, Any]:
         first = next(parsed, None)
         if first is None:
-            raise self._at(0, 0).error(
-                "the file is empty", "`statechart new NAME` writes one to start from"
-            )
+            advice = "`statechart new NAME` writes one to start from"
+            raise self._at(0, 0).error("the file is empty", advice)
         if not isinstance(first, events.MappingStartEvent):
             self._check_equals(text, self._position(first).line - 1)
             self._fail(first, "a model is a mapping", "begin with a line such as kind: scene")
@@ -190,11 +167,11 @@ class _Builder:
                         self._fail(event, "a second document", "one model a file")
                     if event.version or event.tags:
                         self._fail(event, "a YAML directive", "remove the line that begins with %")
-                case events.MappingStartEvent() | events.SequenceStartEvent():
+                case events.CollectionStartEvent():
                     depth += 1
                     if depth > MAX_DEPTH:
                         self._fail(event, f"nested deeper than {MAX_DEPTH} levels")
-                case events.MappingEndEvent() | events.SequenceEndEvent():
+                case events.CollectionEndEvent():
                     depth -= 1
                 case events.AliasEvent():
                     self._fail(event, "an alias (*)", "write the value out")
@@ -204,13 +181,7 @@ class _Builder:
                 self._fail(event, "a tag (!)", "write plain values; put text in quotes")
             if count > MAX_VALUES:
                 self._fail(event, f"more than {MAX_VALUES} values")
-            if not isinstance(
-                event,
-                events.StreamStartEvent
-                | events.StreamEndEvent
-                | events.DocumentStartEvent
-                | events.DocumentEndEvent,
-            ):
+            if isinstance(event, events.NodeEvent | events.CollectionEndEvent):
                 yield event
 
     def _value(self, event: events.Event, parsed: Iterator[events.Event], loc: Loc) -> Any:
@@ -254,11 +225,8 @@ class _Builder:
             return
         first, second = (text.count("(") - text.count(")") for text in (before[0], event.value))
         if not event.style and first > 0 and (second != 0 or not NAME.fullmatch(event.value)):
-            self._fail(
-                event,
-                f"a comma in braces or brackets ends a value, here {before[0]!r}",
-                f'put the whole formula in quotes: "{before[0]}, ..."',
-            )
+            message = f"a comma in braces or brackets ends a value, here {before[0]!r}"
+            self._fail(event, message, f'put the whole formula in quotes: "{before[0]}, ..."')
 
     def _plain(self, event: events.ScalarEvent, loc: Loc) -> Any:
         text = event.value

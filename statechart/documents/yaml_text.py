@@ -57,8 +57,5 @@ def scalar(value: Any) -> str:
         case int():
             return str(int(value))
         case float():
-            text = repr(float(value))
-            return (
-                text if text[-1].isdigit() else text.replace("inf", ".inf").replace("nan", ".nan")
-            )
+            return re.sub("inf|nan", r".\g<0>", repr(float(value)))
     raise TypeError(f"{type(value).__name__} has no YAML form")

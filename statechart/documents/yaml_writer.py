@@ -15,10 +15,7 @@ _FLOW_WIDTH = 80
 
 
 def dump(model: BaseModel) -> str:
-    """Return a model as YAML text that loads back to an equal model.
-
-    Default values are omitted; numbers have full precision.
-    """
+    """Return a model as YAML text that loads back to an equal model, without default values."""
     data = model.model_dump(by_alias=True, exclude_defaults=True)
     if hasattr(model, "kind"):
         data = {"kind": model.kind, **data}

@@ -25,6 +25,11 @@ _RATE_ROUND_OFF = 1e3 * float(np.finfo(float).eps)
 _SMALLEST = 1e-280
 # Smaller fractions of a variable are zero, since DOP853 divides squares of its errors.
 _UNDERFLOW = 1e-100
+# Round-off of the rates times a step, in parts of the error estimate that it causes.
+_NOISE = 4.0
+# Absolute tolerances are relative to this part of the scales of variables; round-off of the rates
+# raises them, at most to the scales.
+_PART = 1e-3
 # Least relative tolerance of solve_ivp.
 _MIN_TOLERANCE = 100 * float(np.finfo(float).eps)
 # The slope error of dense output is below _SLOPE * tolerance**_SLOWER: one order lower than the
@@ -49,6 +54,7 @@ class _Stepper:
     varying: Bools  # (n,) variables that the flow changes
     solver: Any = None
     suggested: float | None = None
+    noise: Array | None = None  # (n,) round-off of the rates, once it has shortened a step
 
 
 class SciPy(Engine):
@@ -101,10 +107,17 @@ class SciPy(Engine):
                 _move(solver, state)
             elif continuation is not Continuation.ON:
                 if continuation is Continuation.NEW:
-                    stepper.suggested = None
+                    stepper.suggested = stepper.noise = None
                 solver = self._solver(stepper, watch.parameters, start, state, until - reached)
                 stepper.solver = solver
+            tried = min(getattr(solver, "h_abs", 0.0), self.max_step)
+            if stepper.noise is not None:
+                noisy = np.fmin(_NOISE * tried * stepper.noise, self._coarsest)
+                solver.atol = np.maximum(self._absolute, noisy)
             solver.step()
+            if solver.status == "running" and solver.step_size < tried:
+                noise = _round_off(solver)
+                stepper.noise = noise if stepper.noise is None else np.fmax(noise, stepper.noise)
         if solver.status == "failed":
             raise StepFailure(
                 f"{self.method} at t = {start:.6g} needs steps shorter than the resolution of "
@@ -155,12 +168,14 @@ class SciPy(Engine):
         else:
             # In declared scales, reduced to the present motion (late, low bounces), but not below
             # the round-off of a state at rest.
-            moving = float((moved / sizes).max(initial=0.0)) or 1.0
+            moving = float((moved / sizes).max(initial=0.0))
             smallest = sizes * max(moving, _RATE_ROUND_OFF / self.tolerance)
-        self.floor = np.maximum(magnitude, 1e-3 * smallest)
-        absolute = self.tolerance * self.floor
+        self.floor = np.maximum(magnitude, _PART * smallest)
+        absolute = self._absolute = self.tolerance * self.floor
         # Errors of a variable near zero grow in its root; one that passes zero needs short steps.
         absolute[stepper.rooted] *= math.sqrt(self.tolerance)
+        self._coarsest = self.tolerance * np.maximum(magnitude, smallest)
+        self._coarsest[stepper.rooted] = absolute[stepper.rooted]
         options: dict[str, Any] = {"rtol": self.tolerance, "atol": absolute}
         if self.max_step < math.inf:
             options["max_step"] = self.max_step
@@ -169,6 +184,18 @@ class SciPy(Engine):
         solver = getattr(integrate, self.method)
         started = np.where(magnitude < _UNDERFLOW * self.floor, 0.0, state)
         return solver(rates, 0.0, started, duration, **options)
+
+
+def _round_off(solver: Any) -> Array:
+    """Return the change (n,) of the rates by the last digits of the state.
+
+    Shorter steps do not reduce the error that it causes; without it, steps would collapse.
+    """
+    y, last = solver.y, np.spacing(solver.y)
+    alternating = np.where(np.arange(len(y)) % 2, -last, last)
+    at, *others = [solver.fun(solver.t, x) for x in (y, y + last, y + alternating)]
+    result: Array = np.abs(np.array(others) - at).max(axis=0)
+    return result
 
 
 def _move(solver: Any, state: Array) -> None:

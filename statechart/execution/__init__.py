@@ -6,7 +6,8 @@ run one by one, and their runs are merged. `execution` is the event loop: `flow`
 of a root's base, `filippov` selects the signs of switching functions), evaluate the laws, jump.
 `compiled_loop` does so for one run or a batch while instants are unambiguous.
 `initial_stop_conditions` evaluates stop conditions at the start of a flow. `zeno` predicts
-accumulations of jumps, `livelock` detects endless ones, `certificate` proves error bounds.
+accumulations of jumps, `livelock` detects endless ones, `certificate` proves error bounds,
+`slow_start` estimates the delay of a run that leaves an unstable equilibrium.
 `time_stepping` runs models by fixed steps; `perturbation` perturbs a run, `outcome` maps outcomes
 to errors.
 """

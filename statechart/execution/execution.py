@@ -30,6 +30,7 @@ from statechart.execution.filippov import Filippov
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, loop_error
 from statechart.execution.outcome import TWO_BOUNDS, Progress, error_of
+from statechart.execution.slow_start import slow_start_warning
 from statechart.execution.zeno import Accumulation, summed
 from statechart.formulas.series import sizes_at
 from statechart.kernels.polynomials import term_sizes
@@ -555,9 +556,8 @@ class Execution:
                 elif dict(self.entered[self.flow.moving].watched).get(fired[0]) == "plain":
                     advice = f"; {TWO_BOUNDS}"
                 elif SIGN in self.entered[self.flow.moving].guards.code[:, 0]:
-                    advice = (
-                        "; a sign jumps there: take the engine taylor, or a state for each side"
-                    )
+                    other = "" if self.engine.name == "taylor" else "take the engine taylor, or "
+                    advice = f"; a sign jumps there: {other}write a state for each side"
                 self.failure = errors.EventLoop(
                     f"{', '.join(fired)} falls at t = {self.clock.high:.6g}, but no jump follows"
                     + advice
@@ -677,6 +677,9 @@ class Execution:
             self._record_load_sharing()
         arcs, jumps = self.record.close()
         remarks = automaton.laws_of_events.remarks(self.setup, arcs)
+        if len(arcs):
+            rates, values = lambda: self._enter(arcs[0].roles).rates, self.setup.values
+            remarks += slow_start_warning(arcs[0], rates, values, engine.tolerance)
         start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
         return automaton.trace(
             self.setup.values,

@@ -59,6 +59,9 @@ LEAST = 1e-6
 _BEYOND = (0.0, 1.0, 2.0, 4.0)
 # A step is repeated up to this part of the way to the missed feature.
 _NEARER = 0.5
+# A step is repeated up to an event between these parts of it, if a variable is larger by this
+# factor at its end and has a defect of so many tolerances; then to this part of the way to it.
+_NEAR_START, _NEAR_END, _FAR, _ACCURATE, _PAST_EVENT = 1e-3, 0.9, 4.0, 10.0, 1.01
 # A margin is zero below this part of its terms.
 _ZERO = 4.0 * float(np.finfo(float).eps)
 # Steps between estimates of the remaining number of steps, and the limit of that number.
@@ -172,7 +175,7 @@ class Advance:
             )
             if arrived:
                 self._continue_from_zero()
-        elif not self._widened(found):
+        elif not (self._widened(found) or self._shorten(found, ended)):
             self._end_at_event(found, ended)
 
     def _search(self, tolerances: Array, first: int, last: int) -> Search:
@@ -352,6 +355,30 @@ class Advance:
             return False
         self.watch, self.horizon = self.watch._replace(tolerances=wider), self._end
         self._start()
+        return True
+
+    def _shorten(self, found: Search, ended: Array) -> bool:
+        """Repeat the step of an event up to it, if the dense output is less accurate than the step.
+
+        The step allows errors relative to its end, which may lie far beyond the event.
+        """
+        location, path, watch = found.crossing, self.path, self.watch
+        if self.engine.sharp or location is None or not _NEAR_START < location.s < _NEAR_END:
+            return False
+        step, steps = location.step, path.coefficients[: location.step + 1]
+        start, terms = path.times.item(step), np.arange(steps.shape[2])
+        span, places = path.times.item(step + 1) - start, np.array([[0.5], [1.0]]) * location.s
+        states = places**terms @ steps[step].T
+        rates = self.compiled.rates.table(
+            states, watch.parameters, watch.start + start + span * places[:, 0]
+        )
+        slopes = (terms[1:] * places ** terms[:-1]) @ steps[step, :, 1:].T
+        defects = np.abs(slopes - span * rates).max(axis=0)
+        sizes = np.abs(np.vstack([steps[:, :, 0], states])).max(axis=0)
+        far = np.abs(steps[step].sum(axis=1)) > _FAR * sizes
+        if not (far & (defects > _ACCURATE * self.engine.tolerance * sizes)).any():
+            return False
+        self._retreat(step, start + _PAST_EVENT / _NEARER * (location.time - start), ended)
         return True
 
     def _end_at_event(self, found: Search, ended: Array) -> None:

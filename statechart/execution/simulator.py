@@ -41,6 +41,7 @@ from statechart.execution.components import MergedRun
 from statechart.execution.event_classification import closing
 from statechart.execution.execution import Execution, evidence_of
 from statechart.execution.outcome import error_of
+from statechart.execution.slow_start import slow_start_warning
 from statechart.kernels.polynomials import term_sizes
 
 _MAX_ROWS = 256  # of one call: tens of milliseconds between checks for signals
@@ -125,6 +126,12 @@ class Simulator:
         remarks: tuple[str, ...] = ()
         if modes.laws.has_remarks:
             remarks = automaton.laws_of_events.remarks(setup(), arcs)
+        if len(arcs):
+            rates, values = (
+                lambda: modes.compiled[arcs[0].mode, arcs[0].roles].rates,
+                result.values[0],
+            )
+            remarks += slow_start_warning(arcs[0], rates, values, engine.tolerance)
         return automaton.trace(
             result.values[0],
             arcs=arcs,

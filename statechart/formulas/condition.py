@@ -104,17 +104,13 @@ class Condition:
     @property
     def disjoint(self) -> bool:
         """True if any true atom makes it true."""
-        return self.single or (
-            isinstance(self.root, Or) and all(isinstance(part, int) for part in self.root.parts)
-        )
+        parts = self.root.parts if isinstance(self.root, Or) else [None]
+        return self.single or all(isinstance(part, int) for part in parts)
 
     def instantaneous(self, moving: Collection[sp.Symbol]) -> bool:
         """Return whether a part is true at instants only: ``x <= 1 and x >= 1`` of `moving` x."""
-        closed = {
-            k: atom.expression
-            for k, atom in enumerate(self.atoms)
-            if not atom.strict and set[Any]() < atom.expression.free_symbols <= {*moving}
-        }
+        atoms = ((k, atom.expression) for k, atom in enumerate(self.atoms) if not atom.strict)
+        closed = {k: e for k, e in atoms if set[Any]() < e.free_symbols <= {*moving}}
         if any(e.is_nonnegative and not e.is_positive for e in closed.values()):
             return True
         opposed = [{i, k} for i, k in combinations(closed, 2) if _opposed(closed[i], closed[k])]
@@ -232,10 +228,8 @@ class AtomsAt:
         places = range(len(condition.atoms))
         atoms: Collection[int] = places
         if self.truth(condition, first, active) is not None:
-            rests = [self.rests(first + k) for k in places]
-            atoms = condition.certificate(
-                lambda k: self.holds(first + k), active, rests.__getitem__
-            )
+            rests = [self.rests(first + k) for k in places].__getitem__
+            atoms = condition.certificate(lambda k: self.holds(first + k), active, rests)
         return frozenset(first + k for k in atoms)
 
 
@@ -283,10 +277,7 @@ def _opposed(a: sp.Expr, b: sp.Expr) -> bool:
 
 
 def condition_of(tree: Any, source: Source) -> Condition:
-    """Return the condition of a tree of `Atom`, split into smooth ones.
-
-    Raises `FormulaError` for more than `MAX_ATOMS`.
-    """
+    """Return the condition of a tree of `Atom`, split into at most `MAX_ATOMS` smooth ones."""
     import sympy
 
     places: dict[Atom, int] = {}
@@ -294,10 +285,9 @@ def condition_of(tree: Any, source: Source) -> Condition:
 
     def check(count: int, most: int) -> None:
         if count > most:
-            source.fail(
-                f"without min, max and abs it has more than {MAX_ATOMS} comparisons",
-                advice="write fewer of them in one relation; each abs in a sum doubles them",
-            )
+            message = f"without min, max and abs it has more than {MAX_ATOMS} comparisons"
+            advice = "write fewer of them in one relation; each abs in a sum doubles them"
+            source.fail(message, advice=advice)
 
     def placed(atom: Atom) -> int:
         place = places.setdefault(atom, len(places))
@@ -365,11 +355,8 @@ def _split(atom: Atom) -> Any:
     bare = _without_root(atom) or _without_sign(atom)
     if bare is not None or not corners:
         return bare or atom
-    # The outermost first.
-    corner = min(
-        (c for c in corners if not any(c is not o and o.has(c) for o in corners)),
-        key=sympy.default_sort_key,
-    )
+    outermost = (c for c in corners if not any(c is not o and o.has(c) for o in corners))
+    corner = min(outermost, key=sympy.default_sort_key)
     largest = not isinstance(corner, sympy.Min)
     arguments = corner.args
     if isinstance(corner, sympy.Abs):
@@ -395,12 +382,8 @@ def _split(atom: Atom) -> Any:
         return each(rising, expression)
     if factor.is_nonpositive:
         return each(falling, expression)
-    return Or(
-        (
-            And((Atom(-factor, False), each(rising, expression))),
-            And((Atom(factor, False), each(falling, expression))),
-        )
-    )
+    above = And((Atom(-factor, False), each(rising, expression)))
+    return Or((above, And((Atom(factor, False), each(falling, expression)))))
 
 
 def _without_root(atom: Atom) -> Any:

@@ -15,24 +15,9 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from statechart.errors import FormulaError, close_matches
+from statechart.formulas import tree
 from statechart.formulas.hints import meant
 from statechart.formulas.syntax import Reader
-from statechart.formulas.tree import (
-    CONSTANTS,
-    FUNCTIONS,
-    Binary,
-    Call,
-    Constant,
-    Name,
-    Node,
-    Number,
-    Source,
-    Unary,
-    evaluate,
-    names_in,
-    nodes,
-    undeclared,
-)
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -42,25 +27,25 @@ _MAX_CACHED = 4096  # parsed texts, more than the largest scene has
 _EXACT = 2**53  # integers up to this are exact floats
 
 
-def _build(node: Node, symbols: Mapping[str, sp.Expr], source: Source) -> sp.Expr:
+def _build(node: tree.Node, symbols: Mapping[str, sp.Expr], source: tree.Source) -> sp.Expr:
     import sympy
 
     match node:
-        case Number():
+        case tree.Number():
             integer = isinstance(node.value, int)
             return sympy.Integer(node.value) if integer else sympy.Float(node.value)
-        case Constant():
+        case tree.Constant():
             return sympy.pi if node.name == "pi" else sympy.oo
-        case Name():
+        case tree.Name():
             if node.name not in symbols:
-                undeclared(node, symbols, source)
+                tree.undeclared(node, symbols, source)
             return symbols[node.name]
-        case Unary():
+        case tree.Unary():
             operand = _build(node.operand, symbols, source)
             return -operand if node.operator == "-" else operand
-        case Call():
+        case tree.Call():
             arguments = [_build(child, symbols, source) for child in node.arguments]
-            return FUNCTIONS[node.function].build(*arguments)
+            return tree.FUNCTIONS[node.function].build(*arguments)
     left = _build(node.left, symbols, source)
     right = _build(node.right, symbols, source)
     match node.operator:
@@ -80,32 +65,29 @@ def _build(node: Node, symbols: Mapping[str, sp.Expr], source: Source) -> sp.Exp
     return sympy.Pow(left, right)
 
 
-def _power_of_numbers(node: Binary, left: sp.Expr, right: sp.Expr, source: Source) -> sp.Expr:
+def _power_of_numbers(
+    node: tree.Binary, left: sp.Expr, right: sp.Expr, source: tree.Source
+) -> sp.Expr:
     """Return a power of numbers in floats, since exact ones may fill the memory."""
     import sympy
 
     if not (left.is_extended_real and right.is_extended_real):
         source.fail("it has no real value", node.offset)
     base, exponent = float(left), float(right)
-    value = evaluate(
-        Binary("**", Name("a", node.offset), Name("b", node.offset), node.offset),
-        {"a": base, "b": exponent},
-        source,
-    )
+    names = tree.Name("a", node.offset), tree.Name("b", node.offset)
+    power = tree.Binary("**", *names, node.offset)
+    value = tree.evaluate(power, {"a": base, "b": exponent}, source)
     if left.is_Integer and right.is_Integer and exponent >= 0 and abs(value) <= _EXACT:
         return sympy.Integer(int(value))
     return sympy.Float(value) if math.isfinite(value) else sympy.oo * math.copysign(1, value)
 
 
 def rewrite_overflow(expression: sp.Expr, formula: Formula) -> sp.Expr:
-    """Return an expression without quotients that overflow to inf/inf.
-
-    Raises `FormulaError` if it has no real value.
-    """
+    """Return a real expression without quotients that overflow to inf/inf."""
     import sympy
 
     if expression.has(sympy.nan, sympy.zoo, sympy.I):
-        Source(formula.text).fail(
+        tree.Source(formula.text).fail(
             "it has no real value", formula.root.offset, "look for a division by zero"
         )
     if expression.has(sympy.exp, sympy.cosh):
@@ -139,23 +121,25 @@ class Formula:
     """A parsed formula; created by `parse`."""
 
     text: str
-    root: Node
+    root: tree.Node
 
     @cached_property
     def names(self) -> frozenset[str]:
         """The names in it."""
-        return frozenset(name.name for name in names_in(self.root))
+        return frozenset(name.name for name in tree.names_in(self.root))
 
     @property
     def names_infinity(self) -> bool:
         """True if the constant `inf` occurs in it."""
-        return any(isinstance(node, Constant) and node.name == "inf" for node in nodes(self.root))
+        return any(
+            isinstance(node, tree.Constant) and node.name == "inf" for node in tree.nodes(self.root)
+        )
 
     def require(self, known: Collection[str]) -> None:
         """Raise `FormulaError` at the first name not in `known`, with similar names."""
-        for name in names_in(self.root):
+        for name in tree.names_in(self.root):
             if name.name not in known:
-                undeclared(name, known, self._source)
+                tree.undeclared(name, known, self._source)
 
     def to_sympy(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
         """Return the SymPy expression.
@@ -171,11 +155,11 @@ class Formula:
 
         Raises `FormulaError` if a name is missing, or a part is undefined or overflows.
         """
-        return evaluate(self.root, values, self._source)
+        return tree.evaluate(self.root, values, self._source)
 
     @property
-    def _source(self) -> Source:
-        return Source(self.text)
+    def _source(self) -> tree.Source:
+        return tree.Source(self.text)
 
 
 def parse(text: str | int | float) -> Formula:
@@ -185,7 +169,7 @@ def parse(text: str | int | float) -> Formula:
     no formula, too large, or has a constant part without a value.
     """
     if isinstance(text, bool) or not isinstance(text, str | int | float):
-        Source(str(text)).fail("not a number and not a formula")
+        tree.Source(str(text)).fail("not a number and not a formula")
     return _read(text if isinstance(text, str) else _number_text(text))
 
 
@@ -196,7 +180,7 @@ def evaluator(values: Mapping[str, float]) -> Callable[[str | int | float], floa
 
 @lru_cache(_MAX_CACHED)
 def _read(text: str) -> Formula:
-    reader = Reader(Source(text))
+    reader = Reader(tree.Source(text))
     root = reader.sum()
     reader.expect_end()
     return Formula(text, root)
@@ -211,9 +195,9 @@ def _number_text(value: int | float) -> str:
     try:
         as_float = float(value)
     except OverflowError:
-        Source(power_of_ten(int(value))).fail("the number is too large for a float")
+        tree.Source(power_of_ten(int(value))).fail("the number is too large for a float")
     if math.isnan(as_float):
-        Source("nan").fail("a finite number or inf was expected")
+        tree.Source("nan").fail("a finite number or inf was expected")
     return str(value) if isinstance(value, int) else repr(as_float)
 
 
@@ -225,27 +209,20 @@ def order_parameters(
     Raises `FormulaError` if a name is not a parameter, or for a dependency cycle.
     """
     for name, formula in formulas.items():
-        for used in names_in(formula.root):
+        for used in tree.names_in(formula.root):
             if used.name not in formulas and used.name not in known_names:
-                formula._source.fail(
-                    f"unknown name {used.name!r}",
-                    used.offset,
-                    meant(used.name, formulas, FUNCTIONS, CONSTANTS),
-                    name=name,
-                )
-    uses = {
-        name: sorted(formula.names.difference(known_names)) for name, formula in formulas.items()
-    }
+                advice = meant(used.name, formulas, tree.FUNCTIONS, tree.CONSTANTS)
+                message = f"unknown name {used.name!r}"
+                formula._source.fail(message, used.offset, advice, name=name)
+    uses = {n: sorted(formula.names.difference(known_names)) for n, formula in formulas.items()}
     try:
         return tuple(graphlib.TopologicalSorter(uses).static_order())
     except graphlib.CycleError as error:
         # graphlib lists each node before those that use it.
         cycle = list(reversed(error.args[1]))
-        formulas[cycle[0]]._source.fail(
-            f"parameters need each other: {' -> '.join(cycle)}",
-            advice="give one of them a value of its own",
-            name=cycle[0],
-        )
+        message = f"parameters need each other: {' -> '.join(cycle)}"
+        advice = "give one of them a value of its own"
+        formulas[cycle[0]]._source.fail(message, advice=advice, name=cycle[0])
 
 
 class Constants:
@@ -262,11 +239,8 @@ class Constants:
         """
         for name in overrides:
             if name not in self.formulas:
-                raise FormulaError(
-                    f"unknown parameter {name!r}",
-                    advice=close_matches(name, self.formulas),
-                    name=name,
-                )
+                advice = close_matches(name, self.formulas)
+                raise FormulaError(f"unknown parameter {name!r}", advice=advice, name=name)
         known_names = frozenset(overrides)
         if known_names not in self._orders:
             left = {n: f for n, f in self.formulas.items() if n not in known_names}

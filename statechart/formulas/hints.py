@@ -91,7 +91,6 @@ _PROGRAMS: Mapping[str, str] = {
     r".*<>": "counts are compared with !=",
 }
 
-
 TOO_FEW: Mapping[str, str] = {
     "max": "the largest value of a run is an output {maximum: x}",
     "min": "the least value of a run is an output {minimum: x}",
@@ -138,9 +137,7 @@ _WORDS: Mapping[str, str] = {
     "{REGION: STATE}}",
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
-    **dict.fromkeys(
-        ("edge", "rising", "rise", "change"), "write the relation: a guard fires as it becomes true"
-    ),
+    **dict.fromkeys(("edge", "rising"), "write the relation: a guard fires as it becomes true"),
     **dict.fromkeys(
         ("rand", "random", "randn", "noise", "uniform", "normal"),
         "runs are not random; write a parameter, and sweep it",
@@ -158,9 +155,7 @@ _WORDS: Mapping[str, str] = {
 }
 # State in other words -> ours, of a contact or a joint.
 _STATES: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(
-        ("broken", "open", "opened", "disabled", "inactive", "detached"), ("off", "free")
-    ),
+    **dict.fromkeys(("broken", "open", "disabled", "inactive", "detached"), ("off", "free")),
     **dict.fromkeys(("on", "enabled", "active", "attached", "held"), ("closed",)),
     **dict.fromkeys(("stick", "sticking", "stuck", "rolling", "static"), ("pin", "locked")),
     **dict.fromkeys(("air", "flight", "flying", "apart"), ("free",)),

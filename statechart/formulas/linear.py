@@ -7,6 +7,7 @@ is regular, and the only singularities are those of the mode, such as the Painle
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 from operator import attrgetter
@@ -27,7 +28,6 @@ MAX_CRAMER = 5
 _MAX_PAIRED = 3
 # Least numeric pivot, since symbolic entries have unknown size. Pivots of mechanics are 1.
 _MIN_PIVOT = 0.5
-
 
 Row = dict[sp.Symbol, sp.Expr]
 Equation = tuple[Row, sp.Expr, int]
@@ -63,12 +63,9 @@ def solve_linear(
     for component in _connected_components(equations, unknowns):
         pairs = sum(place < paired for place in component)
         try:
-            definitions += _solve_component(
-                tuple(equations[i] for i in component if i < len(equations)),
-                tuple(unknowns[i] for i in component if i < len(unknowns)),
-                pairs,
-                frozenset(before),
-            )
+            rows = tuple(equations[i] for i in component if i < len(equations))
+            columns = tuple(unknowns[i] for i in component if i < len(unknowns))
+            definitions += _solve_component(rows, columns, pairs, frozenset(before))
         except Singular as error:
             missing += error.unknowns
     if missing:
@@ -81,12 +78,8 @@ def _connected_components(
 ) -> list[list[int]]:
     """Return the connected components of equations and unknowns; pairs are connected."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
-    edges = [
-        (row, place[unknown])
-        for row, equation in enumerate(equations)
-        for unknown in free_symbols(equation)
-        if unknown in place
-    ]
+    found = [(row, free_symbols(equation)) for row, equation in enumerate(equations)]
+    edges = [(row, place[u]) for row, symbols in found for u in symbols if u in place]
     vertices = range(max(len(equations), len(unknowns)))
     return sorted(map(sorted, connected_components((vertices, edges))))
 
@@ -100,15 +93,13 @@ def _solve_component(
 ) -> tuple[Definition, ...]:
     """Solve the equations of one component; modes share the result."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
-    rows_of_equations: list[Equation] = [
-        (*_linear_row(e, place), i) for i, e in enumerate(equations)
-    ]
-    first, rows, last = _reduce(rows_of_equations, unknowns, before, paired)
+    whole: list[Equation] = [(*_linear_row(e, place), i) for i, e in enumerate(equations)]
+    first, rows, last = _reduce(whole, unknowns, before, paired)
     if paired and _largest(rows) > 2 * _MAX_PAIRED:
-        first, rows, last = _reduce(rows_of_equations, unknowns, before)
+        first, rows, last = _reduce(whole, unknowns, before)
     if paired and _largest(rows) > 2 * MAX_CRAMER:
-        mirrors = _mirrors(rows_of_equations, unknowns, paired)
-        first, rows, last = _reduce(rows_of_equations, unknowns, before, mirrors=mirrors)
+        mirrors = _mirrors(whole, unknowns, paired)
+        first, rows, last = _reduce(whole, unknowns, before, mirrors=mirrors)
     block = _blocks(rows, place, (paired, len(unknowns)) if paired else ())
     solved = {u for u, _ in (*first, *block, *last)}
     missing = [u for u in unknowns if u not in solved]
@@ -168,11 +159,9 @@ def _mirrors(rows: list[Equation], unknowns: Sequence[sp.Symbol], paired: int) -
     """Return the pairs with symmetric rows and columns up to signs, of the first `paired`."""
     mirrors = set()
     for row, _, k in rows:
-        pairs = (
-            (row.get(unknowns[j], sp.S.Zero), rows[j][0].get(unknowns[k], sp.S.Zero))
-            for j in range(paired)
-        )
-        if all(one == other or one == -other for one, other in pairs):
+        own = (row.get(unknowns[j], sp.S.Zero) for j in range(paired))
+        others = (rows[j][0].get(unknowns[k], sp.S.Zero) for j in range(paired))
+        if all(one in (other, -other) for one, other in zip(own, others, strict=True)):
             mirrors.add(k)
     return mirrors
 
@@ -221,10 +210,7 @@ def _pivot(
     for index, (row, _, _) in enumerate(rows):
         if len(row) == 1:
             return index, next(iter(row)), "row"
-    count: dict[sp.Symbol, int] = {}
-    for row, _, _ in rows:
-        for unknown in row:
-            count[unknown] = count.get(unknown, 0) + 1
+    count = Counter(unknown for row, _, _ in rows for unknown in row)
     best: tuple[tuple[bool, int], int, sp.Symbol, str] | None = None
     for index, (row, _, origin) in enumerate(rows):
         largest = max(map(size, row.values()))
@@ -286,14 +272,11 @@ def _blocks(
         unknowns = sorted((u for u in component if not isinstance(u, int)), key=str)
         if len(indices) != len(unknowns):
             raise Singular(unknowns)
-        if len(unknowns) > MAX_CRAMER and pairs:
-            named, rest, later = _eliminate_pairs(
-                [rows[i] for i in indices], unknowns, place, pairs[0]
-            )
-            definitions += [*named, *_blocks(rest, place, pairs[1:]), *reversed(later)]
-            continue
         component_rows = [rows[i] for i in indices]
-        if len(unknowns) > MAX_CRAMER:
+        if len(unknowns) > MAX_CRAMER and pairs:
+            named, rest, later = _eliminate_pairs(component_rows, unknowns, place, pairs[0])
+            definitions += [*named, *_blocks(rest, place, pairs[1:]), *reversed(later)]
+        elif len(unknowns) > MAX_CRAMER:
             definitions += _solve_by_elimination(component_rows, unknowns)
         else:
             definitions += _solve_by_determinants(component_rows, unknowns)

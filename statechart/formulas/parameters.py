@@ -46,9 +46,8 @@ class Parameters:
         self._derived = tuple(extra.values())
         self._further = tuple(further(self.symbols))
         self._tapes = cache(self._tape)
-        self.literals = {
-            name: formula.value({}) for name, formula in self._formulas.items() if not formula.names
-        }
+        formulas_without_names = ((n, f) for n, f in self._formulas.items() if not f.names)
+        self.literals = {name: formula.value({}) for name, formula in formulas_without_names}
 
     def values(self, overrides: Mapping[str, float]) -> tuple[Array, Array]:
         """Return the parameters (derived ones last) and the further expressions.
@@ -58,9 +57,8 @@ class Parameters:
         """
         for name, value in overrides.items():
             if name not in self._formulas:
-                raise DeclarationProblem(
-                    f"no parameter {name!r}", advice=close_matches(name, self._declared)
-                )
+                advice = close_matches(name, self._declared)
+                raise DeclarationProblem(f"no parameter {name!r}", advice=advice)
             if value != value:
                 raise DeclarationProblem(f"parameter {name!r} is not a number")
         tape, inputs = self.program(frozenset(overrides))
@@ -87,11 +85,9 @@ class Parameters:
         derived = self.names[len(self._declared) :]
         for name, expression in zip(derived, self._derived, strict=True):
             definitions.append((self.symbols[name], expression))
+        finite = [(symbol, value.xreplace({sp.oo: _INF})) for symbol, value in definitions]
         tape = compile_tape(
-            [*self.symbols.values(), *self._further],
-            variables=(),
-            parameters=[*(self.symbols[name] for name in inputs), _INF],
-            time=_TIME,
-            definitions=[(symbol, value.xreplace({sp.oo: _INF})) for symbol, value in definitions],
-        )
+            [*self.symbols.values(), *self._further], variables=(), time=_TIME,
+            parameters=[*(self.symbols[name] for name in inputs), _INF], definitions=finite,
+        )  # fmt: skip
         return tape, inputs

@@ -137,14 +137,12 @@ class Relation:
 
     def require_still(self, changing: Collection[str]) -> None:
         """Raise `FormulaError` at the first ``==`` or ``!=`` of names that vary along flows."""
+        advice = "write >= if it rises to the value, <= if it falls"
         for one in self.comparisons:
-            changing_names = sorted((one.left.names | one.right.names).intersection(changing))
-            if one.operator in _ORDERED and changing_names:
-                Source(self.text).fail(
-                    f"{one.operator} compares {changing_names[0]!r}, which changes between events",
-                    one.offset,
-                    "write >= if it rises to the value, <= if it falls",
-                )
+            names = sorted((one.left.names | one.right.names).intersection(changing))
+            if one.operator in _ORDERED and names:
+                message = f"{one.operator} compares {names[0]!r}, which changes between events"
+                Source(self.text).fail(message, one.offset, advice)
 
     def margin(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> sp.Expr:
         """Return the margin: positive while the relation is false, zero as it turns true.
@@ -209,10 +207,7 @@ def _within(tree: InState, states: States) -> Atom:
 
 @lru_cache(_MAX_CACHED)
 def parse_relation(text: str) -> Relation:
-    """Parse a relation: comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`.
-
-    Raises `FormulaError`; see `parse`.
-    """
+    """Parse comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`; see `parse`."""
     reader = _RelationReader(Source(text))
     root = reader.disjunction()
     reader.expect_end()
@@ -281,9 +276,8 @@ class _RelationReader(Reader):
         if self.token.text in ("+", "-"):
             state += self.advance().text
         if opening.text != "(" or name.kind != "name" or not dot or self.token.text != ")":
-            self.source.fail(
-                "`in` asks for a state of a region", token.offset, "write in(REGION.STATE)"
-            )
+            message = "`in` asks for a state of a region"
+            self.source.fail(message, token.offset, "write in(REGION.STATE)")
         self.advance()
         return InState(region, state, offset=token.offset)
 
@@ -304,9 +298,8 @@ class _RelationReader(Reader):
         if self.token.text in _COMPARISONS:
             text = self.source.text
             first, second = text[begin : self.token.offset].strip(), text[middle:].strip()
-            self.source.fail(
-                "a comparison has two sides", self.token.offset, f"write {first} and {second}"
-            )
+            advice = f"write {first} and {second}"
+            self.source.fail("a comparison has two sides", self.token.offset, advice)
         text = self.source.text
         own = text[begin : self.token.offset].strip()
         return Comparison(Formula(text, left), Formula(text, right), sign.text, sign.offset, own)

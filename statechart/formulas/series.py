@@ -105,9 +105,8 @@ def _sub(a: Series, b: Series) -> Series:
 
 def _mul(a: Series, b: Series) -> Series:
     left, right = _absolute_values(a.values), _absolute_values(b.values)
-    return Series(
-        _product(a.values, b.values), _sum(_product(left, b.sizes), _product(a.sizes, right))
-    )
+    sizes = _sum(_product(left, b.sizes), _product(a.sizes, right))
+    return Series(_product(a.values, b.values), sizes)
 
 
 def _div(a: Series, b: Series) -> Series:
@@ -116,9 +115,8 @@ def _div(a: Series, b: Series) -> Series:
     def quotient(above: Sequence[float], signed: Sequence[float]) -> list[float]:
         quotients: list[float] = []
         for k, x in enumerate(above):
-            quotients.append(
-                (x + sum(quotients[i] * signed[k - i] for i in range(k))) / abs(b.values[0])
-            )
+            total = x + sum(quotients[i] * signed[k - i] for i in range(k))
+            quotients.append(total / abs(b.values[0]))
         return quotients
 
     sign = math.copysign(1.0, b.values[0])
@@ -130,13 +128,10 @@ def _div(a: Series, b: Series) -> Series:
 def _chain(first: float, *parts: tuple[Series, Series]) -> Series:
     """Return f(a, b, ...) from its first coefficient and pairs (argument, partial derivative)."""
     values = [first]
+    pairs = [(a.values, slope.values) for a, slope in parts]
     for k in range(1, len(parts[0][0].values)):
-        values.append(
-            sum(
-                i * a.values[i] * slope.values[k - i] for a, slope in parts for i in range(1, k + 1)
-            )
-            / k
-        )
+        total = sum(i * a[i] * slope[k - i] for a, slope in pairs for i in range(1, k + 1))
+        values.append(total / k)
     sizes = [_product(_absolute_values(slope.values), a.sizes) for a, slope in parts]
     return Series(values, _sum(_absolute_values(values), *sizes))
 
@@ -152,10 +147,9 @@ def _coupled_series(
         g_k = signs[1] * sum(rate * f[k - 1 - i] for i, rate in enumerate(rates))
         f.append(f_k)
         g.append(g_k)
-    return (
-        Series(f, _sum(_absolute_values(f), _product(_absolute_values(g), a.sizes))),
-        Series(g, _sum(_absolute_values(g), _product(_absolute_values(f), a.sizes))),
-    )
+    first_sizes, second_sizes = _absolute_values(f), _absolute_values(g)
+    changes = _product(second_sizes, a.sizes), _product(first_sizes, a.sizes)
+    return Series(f, _sum(first_sizes, changes[0])), Series(g, _sum(second_sizes, changes[1]))
 
 
 def _trigonometric(a: Series) -> tuple[Series, Series]:

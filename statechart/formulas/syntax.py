@@ -54,14 +54,10 @@ def _tokens(source: tree.Source) -> Iterator[_Token]:
         match = _TOKEN.match(text, at)
         if match is None:
             offset = at + len(text[at:]) - len(text[at:].lstrip(" \t\r\n"))
-            source.fail(
-                f"unexpected character {text[offset]!r}",
-                offset,
-                character(
-                    "||" if text.startswith("||", offset) else text[offset],
-                    "a formula has numbers, names, + - * / **, parentheses and functions",
-                ),
-            )
+            found = "||" if text.startswith("||", offset) else text[offset]
+            otherwise = "a formula has numbers, names, + - * / **, parentheses and functions"
+            message = f"unexpected character {text[offset]!r}"
+            source.fail(message, offset, character(found, otherwise))
         kind = match.lastgroup or ""
         offset, at = match.start(kind), match.end()
         if kind == "number" and at < len(text) and (text[at].isalnum() or text[at] in "._"):
@@ -83,15 +79,11 @@ class Reader:
 
     def __init__(self, source: tree.Source) -> None:
         if len(source.text) > MAX_LENGTH:
-            source.fail(
-                f"{len(source.text)} characters are too many",
-                advice=f"at most {MAX_LENGTH}; name its parts as parameters",
-            )
+            advice = f"at most {MAX_LENGTH}; name its parts as parameters"
+            source.fail(f"{len(source.text)} characters are too many", advice=advice)
         if date := _DATE.fullmatch(source.text.strip()):
-            source.fail(
-                "this is a date, and times are numbers",
-                advice=f"if a difference is meant, write {date[0][:10].replace('-', ' - ')}",
-            )
+            advice = f"if a difference is meant, write {date[0][:10].replace('-', ' - ')}"
+            source.fail("this is a date, and times are numbers", advice=advice)
         self.source = source
         self._tokens = _tokens(source)
         self._nodes = 0
@@ -143,11 +135,8 @@ class Reader:
         if node.operator == "**" and tree.is_constant(node.right):
             exponent = self._constant(node.right)
             if abs(exponent) > MAX_EXPONENT:
-                self.source.fail(
-                    f"the exponent {exponent:g} is too large",
-                    token.offset,
-                    f"at most {MAX_EXPONENT} in magnitude",
-                )
+                message = f"the exponent {exponent:g} is too large"
+                self.source.fail(message, token.offset, f"at most {MAX_EXPONENT} in magnitude")
         return self._checked(node)
 
     def _atom(self) -> tree.Node:
@@ -155,11 +144,8 @@ class Reader:
         if token.kind == "number":
             value = float(token.text)
             if not math.isfinite(value):
-                self.source.fail(
-                    "the number is too large for a float",
-                    token.offset,
-                    "write inf where infinity is meant",
-                )
+                advice = "write inf where infinity is meant"
+                self.source.fail("the number is too large for a float", token.offset, advice)
             number = int(token.text) if token.text.isdigit() else value
             return self._checked(tree.Number(number, token.offset))
         if token.kind == "name":
@@ -171,9 +157,8 @@ class Reader:
                 self.token = token
                 self._unexpected()
             if token.text in tree.RESERVED:
-                self.source.fail(
-                    f"{token.text!r} is a function", token.offset, f"write {token.text}(...)"
-                )
+                advice = f"write {token.text}(...)"
+                self.source.fail(f"{token.text!r} is a function", token.offset, advice)
             return self._checked(tree.Name(token.text, token.offset))
         if token.text == "(":
             node = self.sum()
@@ -225,9 +210,8 @@ class Reader:
         """
         self._nodes += 1
         if self._nodes > MAX_NODES:
-            self.source.fail(
-                "too many terms", node.offset, f"at most {MAX_NODES}; name parts as parameters"
-            )
+            advice = f"at most {MAX_NODES}; name parts as parameters"
+            self.source.fail("too many terms", node.offset, advice)
         if not isinstance(node, tree.Number | tree.Constant | tree.Name) and tree.is_constant(node):
             self._constant(node)
         return node

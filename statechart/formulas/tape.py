@@ -74,9 +74,7 @@ class Tape:
                 f"not (m, {self.n_variables}) and (m,)"
             )
         self.require(parameters)
-        return tape_table(
-            self.code, self.constants, self.outputs, self.n_fixed, states, parameters, times
-        )
+        return tape_table(*self.program, self.n_fixed, states, parameters, times)
 
     @property
     def varying(self) -> list[bool]:
@@ -121,9 +119,8 @@ class Tape:
     def require(self, parameters: Array) -> None:
         """Raise `ValueError` for a wrong number of parameters."""
         if parameters.shape != (self.n_parameters,):
-            raise ValueError(
-                f"the parameters have shape {parameters.shape}, not ({self.n_parameters},)"
-            )
+            message = f"the parameters have shape {parameters.shape}, not ({self.n_parameters},)"
+            raise ValueError(message)
 
 
 def _colour_columns(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]:

@@ -239,6 +239,5 @@ _OPERATORS: Mapping[str, Callable[[float, float], float]] = {
 
 def undeclared(node: Name, known: Iterable[str], source: Source) -> NoReturn:
     """Raise the error for a name that is not in `known`."""
-    source.fail(
-        f"unknown name {node.name!r}", node.offset, meant(node.name, known, FUNCTIONS, CONSTANTS)
-    )
+    advice = meant(node.name, known, FUNCTIONS, CONSTANTS)
+    source.fail(f"unknown name {node.name!r}", node.offset, advice)

@@ -94,18 +94,10 @@ def to_text(expression: sp.Expr, **settings: object) -> str:
 _NAMED_ALIKE = (
     "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "sign"
 )  # fmt: skip
-_UNARY: dict[type[sp.Basic], str] = {
-    **{getattr(sp, name): name for name in _NAMED_ALIKE},
-    sp.Abs: "abs",
-    Whole: "floor",
-}
+_UNARY: dict[type[sp.Basic], str] = {getattr(sp, name): name for name in _NAMED_ALIKE}
+_UNARY |= {sp.Abs: "abs", Whole: "floor"}
 # SymPy introduces these itself, as for tan(x + pi/2); formulas contain the last.
-_RECIPROCAL: dict[type[sp.Basic], str] = {
-    sp.cot: "tan",
-    sp.sec: "cos",
-    sp.csc: "sin",
-    sp.sech: "cosh",
-}
+_RECIPROCAL = {sp.cot: "tan", sp.sec: "cos", sp.csc: "sin", sp.sech: "cosh"}
 # Smaller factors, or larger ones than the inverse, may overflow with an exponential.
 _MIN_FACTOR = 1e-60
 # Correctly rounded on every processor. Most constants need no others, and loading the kernel takes
@@ -228,10 +220,8 @@ class _Writer:
             return self._fold("sub", [self.register(side) for side in node.args])
         if kind.__name__ in ("Min", "Max", "atan2", "hypot"):
             return self._fold(kind.__name__.lower(), [self.register(a) for a in node.args])
-        raise StatechartError(
-            f"{kind.__name__} in {to_text(node)[:80]} has no operation; "
-            f"there are {', '.join(OPCODES)}"
-        )
+        where = f"{kind.__name__} in {to_text(node)[:80]}"
+        raise StatechartError(f"{where} has no operation; there are {', '.join(OPCODES)}")
 
     def _sum(self, node: sp.Expr) -> int:
         plus, minus = _signed(node)
@@ -273,10 +263,8 @@ class _Writer:
             if exponent.q == 1:
                 return self._integer_power(self.register(base), int(exponent))
             sides = _sides(base)
-            if sides:
-                root = self._emit("hypot", self.register(sides[0]), self.register(sides[1]))
-            else:
-                root = self._emit("sqrt", self.register(base))
+            operation = "hypot" if sides else "sqrt"
+            root = self._emit(operation, *map(self.register, sides or [base]))
             return self._integer_power(root, int(exponent.p))
         return self._emit("pow", self.register(base), self.register(exponent))
 
@@ -296,16 +284,12 @@ class _Writer:
         except TypeError:
             value = math.nan
         if math.isinf(value) and sp.sympify(number).is_finite:
-            raise DeclarationError(
-                f"numbers of the model give the constant {sp.N(number, 7)}, which is too large for "
-                "a float",
-                advice="take larger units",
-            )
+            constant = f"the constant {sp.N(number, 7)}, which is too large for a float"
+            message = f"numbers of the model give {constant}"
+            raise DeclarationError(message, advice="take larger units")
         if not math.isfinite(value):
-            raise StatechartError(
-                f"the constant {to_text(number)[:80]} is not a finite real number; "
-                "make it a parameter or remove it"
-            )
+            message = f"the constant {to_text(number)[:80]} is not a finite real number"
+            raise StatechartError(f"{message}; make it a parameter or remove it")
         return ~self.constants.setdefault(value, len(self.constants))
 
     def _emit(self, name: str, left: int, right: int = 0) -> int:
@@ -376,14 +360,9 @@ def _signed(node: sp.Expr) -> tuple[list[sp.Expr], list[sp.Expr]]:
 
     Cached, since this takes longest and modes share most sums.
     """
-    plus: list[sp.Expr] = []
-    minus: list[sp.Expr] = []
-    for term in node.args:
-        if term.as_coeff_Mul()[0].is_negative:
-            minus.append(-term)
-        else:
-            plus.append(term)
-    return plus, minus
+    negative = [term.as_coeff_Mul()[0].is_negative for term in node.args]
+    pairs = list(zip(node.args, negative, strict=True))
+    return [term for term, sign in pairs if not sign], [-term for term, sign in pairs if sign]
 
 
 def _join_powers(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:

@@ -76,13 +76,8 @@ def resolved_events(runs: Sequence[Sequence[Jump]]) -> list[list[Event]]:
     """
     sums = [[jump for jump in run if jump.skipped > 0.0] for run in runs]
     same = len(set(map(len, sums))) == 1
-    windows = [
-        (
-            _WINDOW[0] * min(jump.skipped for jump in alike),
-            _WINDOW[1] * max(jump.skipped for jump in alike),
-        )
-        for alike in (zip(*sums, strict=True) if same else ())
-    ]
+    skipped = [[jump.skipped for jump in alike] for alike in zip(*sums, strict=False) if same]
+    windows = [(_WINDOW[0] * min(times), _WINDOW[1] * max(times)) for times in skipped]
     return [_resolved(run, own, windows) for run, own in zip(runs, sums, strict=True)]
 
 
@@ -143,10 +138,9 @@ def _next_common_mode(
     after_b = [b[j].source, *(jump.target for jump in _jumps_until(b, j, limit))]
     for total in range(1, len(after_a) + len(after_b) - 1):
         for p in range(max(0, total - len(after_b) + 1), min(total, len(after_a) - 1) + 1):
-            if after_a[p] == after_b[total - p] and _resumes_together(
-                a, b, i + p, j + total - p, window
-            ):
-                return i + p, j + total - p
+            after = i + p, j + total - p
+            if after_a[p] == after_b[total - p] and _resumes_together(a, b, *after, window):
+                return after
     return None
 
 

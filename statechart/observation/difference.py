@@ -94,16 +94,10 @@ def compare(
     if scales.variables is not None:
         largest = np.maximum(largest, scales.variables)
     zeros = np.maximum(np.broadcast_to(scales.zero_variables, largest.shape), nothing)
+    table = np.array([coarse.final, fine.final, largest, zeros]).T.tolist()
     state = _worst(
-        Compared(f"the final {name}", a, b, _relative(a, b, scale, zero))
-        for name, a, b, scale, zero in zip(
-            fine.variables,
-            coarse.final.tolist(),
-            fine.final.tolist(),
-            largest.tolist(),
-            zeros.tolist(),
-            strict=True,
-        )
+        Compared(f"the final {name}", row[0], row[1], _relative(*row))
+        for name, row in zip(fine.variables, table, strict=True)
     )
     end = max(coarse.t_end, fine.t_end)
     times = [("the end", coarse.t_end, fine.t_end)] if same_end else []
@@ -118,14 +112,9 @@ def compare(
             Compared(f"output {name}", a, b, _relative(a, b, max(abs(a), abs(b), size), zero))
             for a, b, size in _differences(one, fine_outputs[name], size, cuts.get(name))
         )
-    return Difference(
-        state.off if same_end else math.inf,
-        delay.off,
-        {name: one.off for name, one in outputs.items()},
-        _worst((state, delay, *outputs.values())),
-        diverged,
-        pairs,
-    )
+    off, named = state.off if same_end else math.inf, {n: one.off for n, one in outputs.items()}
+    worst = _worst((state, delay, *outputs.values()))
+    return Difference(off, delay.off, named, worst, diverged, pairs)
 
 
 def _worst(compared: Iterable[Compared]) -> Compared:
@@ -149,9 +138,8 @@ def separation_time(reference: Trace, trace: Trace, *, brief: float = 0.0) -> fl
         start, stop = max(before), min(*after, until)
         if stop > start:
             # Without the ends, where one run may have jumped and the other not.
-            grids.append(
-                start + (stop - start) * (np.arange(_TIMES_BETWEEN) + 0.5) / _TIMES_BETWEEN
-            )
+            parts = (np.arange(_TIMES_BETWEEN) + 0.5) / _TIMES_BETWEEN
+            grids.append(start + (stop - start) * parts)
     times = np.concatenate(grids)
     if len(times) == 0 or not (reference.arcs and trace.arcs):
         return diverged
@@ -195,10 +183,8 @@ def mode_disagreement(reference: Trace, trace: Trace) -> float:
     marks = np.unique(np.concatenate([[0.0, end], *changes]))
     marks = marks[marks <= end]
     middles = 0.5 * (marks[:-1] + marks[1:])
-    one, other = (
-        numbered[np.searchsorted(times, middles)]
-        for numbered, times in zip(modes, changes, strict=True)
-    )
+    pairs = zip(modes, changes, strict=True)
+    one, other = (numbered[np.searchsorted(times, middles)] for numbered, times in pairs)
     return float(np.diff(marks) @ (one != other)) / end
 
 

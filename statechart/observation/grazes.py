@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence, Set
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from statechart.arrays import Array, Ints
+from statechart.automaton.laws import uncaptured
+from statechart.automaton.margin_derivatives import derivative
 from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
 from statechart.engines.compiled_flow import EVALUATION_ROUND_OFF
-from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.event_classification import (
     STATE_ROUND_OFF,
     STATE_TOLERANCES,
@@ -25,7 +27,7 @@ from statechart.execution.event_classification import (
 )
 from statechart.execution.simulator import Simulator
 from statechart.formulas.condition import AtomsAt
-from statechart.formulas.tape import contiguous
+from statechart.formulas.tape import Tape, contiguous
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import sample_arcs, subdivide
 
@@ -85,12 +87,13 @@ def _sentence(several: Sequence[Graze]) -> str:
             "less than its tolerance at the start of the flow, and does not fire; start the "
             "flow farther from the boundary"
         )
-    description = "fires" if graze.fired else "grazes its boundary"
-    would = "would be" if graze.fired else "is"
+    does, would, might = "grazes its boundary", "is", "fire"
+    if graze.fired:
+        does, would, might = "fires", "would be", "not fire"
     return (
-        f"{graze.guard} {description} at t = {graze.t:.6g}, where its least value {would} "
+        f"{graze.guard} {does} at t = {graze.t:.6g}, where its least value {would} "
         f"{graze.least:.2g}, within the error of the run, {graze.uncertainty:.2g}: it might "
-        f"{'not fire' if graze.fired else 'fire'}{further}"
+        f"{might}{further}"
     )
 
 
@@ -108,9 +111,8 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
         groups.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     last_arcs = {arc.j: arc for arc in trace.arcs}
     begun = {id(arc) for arc in {arc.j: arc for arc in reversed(trace.arcs)}.values() if arc.j}
-    ended = {
-        id(last_arcs[jump.j]): jump for jump in trace.jumps if jump.fired and jump.j in last_arcs
-    }
+    fired = (jump for jump in trace.jumps if jump.fired and jump.j in last_arcs)
+    ended = {id(last_arcs[jump.j]): jump for jump in fired}
     times = [jump.t for jump in trace.jumps]
 
     def simultaneous(t: float) -> Sequence[Jump]:
@@ -129,7 +131,7 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     approaches: list[Graze] = []
     scales = sizes(trace)
     for (roles, _), arcs in groups.items():
-        scan = _GuardScan(trace, simulator.modes.compiled(roles, trace.zeros), stops, scales)
+        scan = _GuardScan(trace, simulator, roles, stops, scales)
         for first in range(0, len(arcs), _MAX_ARCS):
             batch = arcs[first : first + _MAX_ARCS]
             approaches += scan.between(batch)
@@ -146,17 +148,17 @@ class _GuardScan:
     """Scans the guards of one mode."""
 
     def __init__(
-        self, trace: Trace, compiled: CompiledMode, stops: Set[str], scales: Array
+        self, trace: Trace, simulator: Simulator, roles: Roles, stops: Set[str], scales: Array
     ) -> None:
+        self._automaton, self._roles = simulator.automaton, roles
+        compiled = simulator.modes.compiled(roles, trace.zeros)
         self._compiled, self._guards = compiled, compiled.wholes
         wholes = whole_margins(compiled.mode.margins)
         self._watched = tuple((margin.name, margin.kind) for margin in wholes)
         self._stops = stops
-        self._judged = np.array([
-            margin.kind == "plain"
-            and (margin.name in stops or ("." in margin.name and ": " not in margin.name))
-            for margin in wholes
-        ], np.bool_)  # fmt: skip
+        guards = stops | {m.name for m in wholes if "." in m.name and ": " not in m.name}
+        judged = [m.kind == "plain" and m.name in guards for m in wholes]
+        self._judged = np.array(judged, np.bool_)
         # Atom -> its relation.
         self._named = {margin.name: margin.name for margin in wholes}
         self._named |= {m.name: m.relation for m in compiled.mode.margins if m.whole is not None}
@@ -263,12 +265,46 @@ class _GuardScan:
 
         They only delay that of guards such as ``abs(x) <= 0``, which is zero for any error.
         """
-        errors = np.diag(self._errors)
+        errors = self._errors_along(arc.states(np.array([t - arc.start.high]))[0], t)
         shifts = np.vstack([np.zeros(len(errors)), errors, -errors])
         times, minima = self._minima(arc, k, left, right, shifts)
         state = arc.states(times[:1])[0]
         round_off = margin_errors(self._guards, k, state, self._round_off, self._values, t)
         return bool(np.abs(minima - minima[0]).max() > round_off)
+
+    def _errors_along(self, state: Array, t: float) -> Array:
+        """Return the errors of the variables (n, n), without those that constraints remove.
+
+        Each row is the error of one variable, projected onto the motions that the constraints of
+        the flow allow, in which distances are relative to the errors.
+        """
+        errors, coordinates = np.diag(self._errors), self._automaton.coordinates
+        if coordinates is None or self._gradients is None:
+            return errors
+        variables, moving = self._automaton.variables, coordinates.positions
+        gradients = self._gradients.at(contiguous(state), self._values, t).reshape(-1, len(moving))
+        for group in (moving, coordinates.rates):
+            places = [variables.index(symbol) for symbol in group]
+            scaled = gradients * self._errors[places]
+            keeps = np.eye(len(places)) - np.linalg.pinv(scaled) @ scaled
+            errors[np.ix_(places, places)] = keeps * self._errors[places]
+        return errors
+
+    @cached_property
+    def _gradients(self) -> Tape | None:
+        """The gradients of the constraints of the flow, one after another; None without any."""
+        coordinates = self._automaton.coordinates
+        assert coordinates is not None
+        holds = [*coordinates.joints]
+        for region, role in zip(self._automaton.regions, uncaptured(self._roles), strict=False):
+            holds += region.build(role).holds
+        rows = [
+            derivative(place, symbol).xreplace(hold.anchors)
+            for hold in holds
+            for place in hold.places
+            for symbol in coordinates.positions
+        ]
+        return self._automaton.tape(rows) if rows else None
 
     def turned_back(
         self, ends: Sequence[tuple[Arc, Jump | None]], is_unmoved: Callable[[str, float], bool]
@@ -307,11 +343,8 @@ class _GuardScan:
                 touched = (np.abs(now) <= self._near * soon) & (before > np.abs(now))
             for k in np.flatnonzero(touched & self._judged).tolist():
                 graze = self._open(arc, k, 0.0, 0.0, fired=False)
-                if (
-                    graze
-                    and abs(graze.least) <= graze.uncertainty < before[k]
-                    and self._is_true(graze, states[1])
-                ):
+                near = graze and abs(graze.least) <= graze.uncertainty < before[k]
+                if graze and near and self._is_true(graze, states[1]):
                     yield graze._replace(placed=f"{jumps[0].region}.{jumps[0].cause}")
 
     def _is_true(self, graze: Graze, state: Array) -> bool:

@@ -47,13 +47,9 @@ class Observer:
     def names(self) -> tuple[str, ...]:
         """The variables and further observables, without parameters and time."""
         automaton = self.automaton
-        constant, variables = {automaton.time, *automaton.parameters}, {*automaton.names}
-        unknowns = [
-            name
-            for name, expression in automaton.observables.items()
-            if expression not in constant and name not in variables
-        ]
-        return (*automaton.names, *unknowns)
+        constant = {automaton.time, *automaton.parameters}
+        changing = (name for name, e in automaton.observables.items() if e not in constant)
+        return tuple(dict.fromkeys((*automaton.names, *changing)))
 
     def sample(
         self,
@@ -89,13 +85,10 @@ class Observer:
         shown = points.times
         if times is None and trace.step is not None:
             shown = decimals(shown)
-        return sampling.Samples(
-            shown,
-            np.repeat(np.array(jumped, dtype=np.int64), counts),
-            np.repeat(np.array([places[key] for key in modes_shown], dtype=np.intp), counts),
-            modes,
-            {name: table[:, k] for k, name in enumerate(formulas)},
-        )
+        j = np.repeat(np.array(jumped, dtype=np.int64), counts)
+        mode = np.repeat(np.array([places[key] for key in modes_shown], dtype=np.intp), counts)
+        columns = {name: table[:, k] for k, name in enumerate(formulas)}
+        return sampling.Samples(shown, j, mode, modes, columns)
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
@@ -137,9 +130,8 @@ class Observer:
             roles = () if stepped else sampling.roles_at(trace, jump.j, jump.source, ends=True)
             remaining.setdefault((jump.source, roles), []).append(place)
         for flow, places in remaining.items():
-            names, rows = self._margins_before_jumps(
-                trace, *flow, [jumps[place] for place in places]
-            )
+            ended = [jumps[place] for place in places]
+            names, rows = self._margins_before_jumps(trace, *flow, ended)
             for place, row in zip(places, rows, strict=True):
                 values, coefficients = np.split(row, 2)
                 limited = ~np.isinf(coefficients)
@@ -179,9 +171,8 @@ class Observer:
             return self.programs.tape(expressions, None).table(points.states, values, points.times)
         if (unknowns := points.unknowns()) is not None:
             rows = np.hstack([points.states, unknowns])
-            return self.programs.tape(expressions, None, known=True).table(
-                rows, values, points.times
-            )
+            tape = self.programs.tape(expressions, None, known=True)
+            return tape.table(rows, values, points.times)
         result = np.full((len(points.times), len(expressions)), np.nan)
         owners: dict[Roles, list[NDArray[np.intp]]] = {}
         start = 0
@@ -190,17 +181,13 @@ class Observer:
             start = end
         modes = self.modes_of(trace)
         for roles, blocks in owners.items():
-            mode = modes(roles)
-            columns = [
-                i
-                for i, e in enumerate(expressions)
-                if mode is not None or not self.programs.needed((e,))
-            ]
+            mode, columns = modes(roles), [*range(len(expressions))]
+            if mode is None:
+                columns = [i for i in columns if not self.programs.needed((expressions[i],))]
             if columns:
                 index = np.concatenate(blocks)
-                tape = self.programs.tape(
-                    sampling.visible_expressions([expressions[i] for i in columns], mode), mode
-                )
+                shown = sampling.visible_expressions([expressions[i] for i in columns], mode)
+                tape = self.programs.tape(shown, mode)
                 found = tape.table(points.states[index], values, points.times[index])
                 result[np.ix_(index, np.array(columns))] = found
         return result
@@ -243,7 +230,6 @@ class Programs:
         return tuple([self.expression(formula) for formula in formulas])
 
     def _needed(self, expressions: tuple[sp.Expr, ...]) -> bool:
-        """Return whether the expressions use unknowns or controls."""
         return any(e.free_symbols - self._given for e in expressions)
 
     def tape(

@@ -30,11 +30,7 @@ class Observers:
         self._solved = SolvedModes(automaton)
 
     def at(self, setting: Setting, start: Start = Start.DECLARED) -> Observer:
-        """Return the observer of a setting.
-
-        Raises `DeclarationError` for an unknown engine or method, or an engine that is not
-        installed.
-        """
+        """Return the observer of a setting; raise `DeclarationError` for an unknown engine."""
         key = setting, start
         found = self._kept.get(key)
         if found is None:
@@ -67,13 +63,11 @@ class Observers:
     ) -> Simulator | SteppingSimulator:
         """Return a new simulator that shares the solved modes."""
         if setting.step is not None:
-            bounds = Impulses(
-                setting.impulse_tolerance or DEFAULT_IMPULSES.tolerance,
-                setting.impulse_bound or DEFAULT_IMPULSES.bound,
-            )
-            return SteppingSimulator(
-                self._automaton, setting.step, bounds, setting.recorded, progress=self._progress
-            )
+            tolerance, bound = setting.impulse_tolerance, setting.impulse_bound
+            default = DEFAULT_IMPULSES
+            own = Impulses(tolerance or default.tolerance, bound or default.bound)
+            how = setting.step, own, setting.recorded
+            return SteppingSimulator(self._automaton, *how, progress=self._progress)
         automaton = self._automaton
         if start is not Start.DECLARED:
             automaton = with_increased_start(automaton, start)

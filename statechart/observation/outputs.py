@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate, pairwise
 from operator import add
 from typing import Any, TypeAlias, TypeGuard
@@ -103,9 +103,8 @@ class Outputs:
         formulas += [*self.start.values(), *self.end.values()]
         formulas += [output.integral for output in self.integrals.values()]
         watched = [one for one in self.watched if not _by_mode(one)]
-        return len(watched) < len(self.watched) or programs.needed(
-            programs.expressions([*formulas, *watched])
-        )
+        expressions = programs.expressions([*formulas, *watched])
+        return len(watched) < len(self.watched) or programs.needed(expressions)
 
     def of(self, trace: Trace) -> dict[str, OutputValue]:
         """Return the outputs of a run, in the order of the declaration.
@@ -156,13 +155,9 @@ class Outputs:
         key = jump.region, jump.cause, jump.source, jump.target, *jump.impulse
         marks = self._marked.get(key)
         if marks is None:
-            regions = self.observer.automaton.regions
-            marks = self._marked[key] = tuple(
-                [
-                    int(any(has_happened(regions, jump, event) for event in wait))
-                    for wait in self._waits
-                ]
-            )
+            happened = partial(has_happened, self.observer.automaton.regions, jump)
+            marks = tuple([int(any(map(happened, wait))) for wait in self._waits])
+            self._marked[key] = marks
         return marks
 
     def _marks(self, batch: Batch, jump_of: Callable[[int, int], Jump]) -> _Marks:
@@ -283,11 +278,8 @@ class Outputs:
         formulas = {name: output.value for name, output, _ in self.at}
         for name, output, moment in self.at:
             largest = self._largest(trace, output.value)
-            jumps = self._happened(trace, moment.events)
-            sizes = [
-                run.of(output.value, largest.item(jump.j + 1))
-                for jump in jumps[_selected_events(moment)]
-            ]
+            jumps = self._happened(trace, moment.events)[_selected_events(moment)]
+            sizes = [run.of(output.value, largest.item(jump.j + 1)) for jump in jumps]
             found[name] = sizes if moment.several else sizes[0] if sizes else None
         whole = {**self.end, **{name: formula for name, formula, _ in self.extremes}}
         integrals = {name: output.integral for name, output in self.integrals.items()}
@@ -483,10 +475,9 @@ class OutputAccumulator:
 
 def _selected_events(moment: Moment) -> slice:
     """Return the selection of the events of a moment."""
-    if moment.when == "each":
-        return slice(None)
     most = moment.most or 1
-    return slice(most) if moment.when == "first" else slice(-most, None)
+    slices = {"each": slice(None), "first": slice(most), "last": slice(-most, None)}
+    return slices[moment.when]
 
 
 def outputs_of(observer: Observer) -> Outputs:
@@ -514,9 +505,8 @@ def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float,
         entered = (jump.target for jump in instantaneous_modes(trace))
         modes = {trace.start_mode, trace.final_mode, *entered, *(arc.mode for arc in trace.arcs)}
         infinite = {float(own) for own in map(formula, modes) if own in (sp.oo, -sp.oo)}
-    accumulator = OutputAccumulator(
-        Outputs(observer, (), [finite if _by_mode(formula) else formula])
-    )
+    watched = finite if _by_mode(formula) else formula
+    accumulator = OutputAccumulator(Outputs(observer, (), [watched]))
     accumulator.take(trace, trace.arcs, trace.jumps, ended=True)
     result = [*infinite, *accumulator.extremes.ravel().tolist()]
     return np.fmin.reduce(result).item(), np.fmax.reduce(result).item()

@@ -77,13 +77,10 @@ def sample_arcs(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
         known = [u for u in (arc.unknowns(tau) for arc, tau in pairs) if u is not None]
         return np.concatenate(known) if known else None
 
-    return Points(
-        np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs]),
-        np.concatenate([arc.states(tau) for arc, tau in pairs]),
-        np.cumsum([len(tau) for tau in local]).tolist(),
-        lambda: [arc.roles for arc in arcs],
-        unknowns,
-    )
+    times = np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs])
+    states = np.concatenate([arc.states(tau) for arc, tau in pairs])
+    ends = np.cumsum([len(tau) for tau in local]).tolist()
+    return Points(times, states, ends, lambda: [arc.roles for arc in arcs], unknowns)
 
 
 def at_endpoints(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Points:
@@ -140,11 +137,8 @@ Where = tuple[tuple[str, str], ...]
 def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> list[int]:
     """Return the indices of `where` that are satisfied in the mode `key`."""
     states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}
-    return [
-        place
-        for place, required_states in enumerate(where)
-        if all(state in states[region] for region, state in required_states)
-    ]
+    met = [all(state in states[region] for region, state in required) for required in where]
+    return [place for place, satisfied in enumerate(met) if satisfied]
 
 
 def visible_expressions(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from statechart.arrays import Array
+from statechart.arrays import EPS, Array
 from statechart.automaton.trace import Trace, visited_states
 from statechart.documents.quantities import Dimension
 from statechart.observation.observer import FormulaLike, Observer
@@ -33,7 +33,6 @@ class Scales(NamedTuple):
 
 NO_SCALES = Scales()
 """Every value is relative to itself."""
-
 
 _NEARLY_ZERO = 1e-3
 """Least scale of a quantity, relative to that of its dimension."""
@@ -88,7 +87,12 @@ class RunScales:
         return self._zero(self._kind(self._observer.programs.expression(formula)))
 
     def _zero(self, kind: Dimension) -> float:
-        return self._trace.tolerances.get(_TOLERANCES.get(kind, ""), 0.0)
+        zero = self._trace.tolerances.get(_TOLERANCES.get(kind, ""), 0.0)
+        if kind not in self._kinds or not self._trace.tolerance > EPS:
+            return zero
+        # Where all motion is below the tolerance, it is not zero down to round-off.
+        least = zero * EPS / self._trace.tolerance
+        return min(zero, max(least, _NEARLY_ZERO * self._kinds[kind]))
 
     def _kind(self, expression: sp.Expr) -> Dimension:
         """Return the dimension of a symbol, possibly with a sign."""

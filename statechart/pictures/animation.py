@@ -58,9 +58,8 @@ def pace(end: float, speed: float | None) -> tuple[float, Array]:
 
 def _check_speed(speed: float) -> None:
     if not 0.0 < speed < math.inf:
-        raise DeclarationError(
-            f"a speed is a positive number, not {speed:g}", advice="1 is as in the run's own time"
-        )
+        advice = "1 is as in the run's own time"
+        raise DeclarationError(f"a speed is a positive number, not {speed:g}", advice=advice)
 
 
 def _round(end: float) -> float:
@@ -70,27 +69,21 @@ def _round(end: float) -> float:
     return next(s * power for s in (1.0, 2.0, 5.0, 10.0) if s * power >= least * (1.0 - 1e-9))
 
 
-def check(path: Path, size: int, speed: float | None = None, trail: float | None = None) -> None:
-    """Check that an animation can be written, before its run is made.
-
-    A wrong suffix, size, speed or trail raises a DeclarationError, a missing ffmpeg a
-    StatechartError.
-    """
+def check(
+    path: Path, size: int = 720, speed: float | None = None, trail: float | None = None
+) -> None:
+    """Raise `StatechartError` if an animation cannot be written, before its run is made."""
     if path.suffix.lower() not in SUFFIXES:
-        raise DeclarationError(
-            f"an animation is .gif or .mp4, not {path.suffix or path.name!r}",
-            advice="a GIF needs no further program",
-        )
+        message = f"an animation is .gif or .mp4, not {path.suffix or path.name!r}"
+        raise DeclarationError(message, advice="a GIF needs no further program")
     if not _NARROWEST <= size <= _WIDEST:
-        raise DeclarationError(
-            f"the size must be {_NARROWEST} to {_WIDEST} pixels, not {size}", advice="write 720"
-        )
+        message = f"the size must be {_NARROWEST} to {_WIDEST} pixels, not {size}"
+        raise DeclarationError(message, advice="write 720")
     if speed is not None:
         _check_speed(speed)
     if trail is not None and not trail >= 0.0:
-        raise DeclarationError(
-            f"a trail must be a time of 0 or more, not {trail:g}", advice="0 is for none"
-        )
+        advice = "0 is for none"
+        raise DeclarationError(f"a trail must be a time of 0 or more, not {trail:g}", advice=advice)
     if path.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
         raise StatechartError("an mp4 needs the program ffmpeg, which is not here; write a .gif")
 

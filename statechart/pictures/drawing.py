@@ -122,10 +122,8 @@ class Drawing:
         closed = state in CLOSED
         mark.set_data(*place[:, None])
         mark.set_visible(state != "off")
-        mark.set_markerfacecolor(
-            state_colours(film.states[touch.region])[state] if closed else PAPER
-        )
-        mark.set_markeredgecolor(INK if closed else FAINT)
+        face = state_colours(film.states[touch.region])[state] if closed else PAPER
+        mark.set(markerfacecolor=face, markeredgecolor=INK if closed else FAINT)
         mark.set_markersize(self._size if closed else 0.7 * self._size)
         force = arrows(touch.forces[instant], film.half, film.force)
         # A short arrow has a small head: it would point the other way.
@@ -195,9 +193,8 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
     many = len({shape.name for shape in film.shapes if shape.region >= 0}) > _MAX_NAMED
     for touch in film.touches:
         place, size = ax.transData.transform(touch.places[0]), _size(ax, touch.name)
-        yield _Name(
-            touch.name, {"color": LINES[0]}, size, _places_around(place, size, radius, scale)
-        )
+        places = _places_around(place, size, radius, scale)
+        yield _Name(touch.name, {"color": LINES[0]}, size, places)
     for shape in film.shapes:
         if shape.name in named or shape.kind in (*BETWEEN, "joint", "pivot"):
             continue
@@ -205,13 +202,11 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
         if not shape.name or (many and shape.region >= 0):
             continue
         named.add(shape.name)
+        style, size = {"color": INK}, _size(ax, shape.name)
         if shape.kind == "ground":
-            style: dict[str, Any] = {"color": INK}
-            size = _size(ax, shape.name)
             places = _label_positions(ax, film, shape, size, scale)
         else:
-            style = {"color": INK, "style": "italic"}
-            size = _size(ax, shape.name)
+            style["style"] = "italic"
             pose = film.poses[0, shape.frame]
             solid = shape.kind in ("outline", "disc")
             # The centre of mass may lie at the rim, as of a block that slides on its base.
@@ -236,10 +231,8 @@ def _places_around(place: Array, size: Array, radius: float, scale: float) -> Ar
     turns = np.pi * np.arange(_ROUND) / (_ROUND / 2)
     turns = turns[np.argsort(1.0 - np.cos(turns - np.pi / 6.0), kind="stable")]
     directions = np.column_stack([np.cos(turns), np.sin(turns)])
-    found = [
-        place + directions * (size / 2.0 + radius + distance * scale) for distance in _DISTANCES
-    ]
-    return np.concatenate(found)
+    reaches = (size / 2.0 + radius + distance * scale for distance in _DISTANCES)
+    return np.concatenate([place + directions * reach for reach in reaches])
 
 
 def _label_positions(ax: Axes, film: Film, shape: Shape, size: Array, scale: float) -> Array:
@@ -378,9 +371,9 @@ def picture_size(film: Film, width: float, highest: float) -> tuple[float, float
 
 def spread(film: Film, count: int) -> list[int]:
     """Return the first and the last instant, and others at equal distances of the motion."""
-    displacements = np.abs(np.diff(film.poses[:, :, :2], axis=0)).max(axis=(1, 2)) / film.unit
-    turned = np.abs(np.diff(film.poses[:, :, 2], axis=0)).max(axis=1)
-    far = np.concatenate([[0.0], np.cumsum(displacements + 0.2 * turned)])
+    moves = np.abs(np.diff(film.poses, axis=0)).max(axis=1)
+    steps = moves[:, :2].max(axis=1) / film.unit + 0.2 * moves[:, 2]
+    far = np.concatenate([[0.0], np.cumsum(steps)])
     if not far[-1] > 0.0:
         return [0]
     chosen = np.searchsorted(far, np.linspace(0.0, far[-1], count) * (1.0 - 1e-12))

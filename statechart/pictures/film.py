@@ -11,20 +11,9 @@ from numpy.typing import NDArray
 from statechart.arrays import Array
 
 ShapeKind = Literal[
-    "outline",
-    "disc",
-    "bar",
-    "mass",
-    "joint",
-    "pivot",
-    "link",
-    "rope",
-    "spring",
-    "damper",
-    "reaction",
-    "coupling",
-    "ground",
-]
+    "outline", "disc", "bar", "mass", "joint", "pivot", "link", "rope", "spring", "damper",
+    "reaction", "coupling", "ground",
+]  # fmt: skip
 """Kinds of shapes. All but the ground lie within the hull of their points.
 
 outline: a filled polygon. disc: a filled circle. bar: a thick line with round ends. mass, joint,

@@ -190,15 +190,12 @@ class _Bodies:
         self._frames = np.array([shape.frame for shape in shapes])
         self._regions = [shape.region for shape in shapes]
         # Discs that turn show a radius.
-        self._turning = [
-            k for k, shape in enumerate(shapes) if shape.kind == "disc" and shape.turns
-        ]
-        turning = [shapes[k] for k in self._turning]
-        radii = [one.points[0] + np.array([[0.0, 0.0], [one.radius, 0.0]]) for one in turning]
+        turning = [(k, s) for k, s in enumerate(shapes) if s.kind == "disc" and s.turns]
+        radii = [s.points[0] + np.array([[0.0, 0.0], [s.radius, 0.0]]) for _, s in turning]
         # All points, and the shape that each belongs to.
         points = [*(edge.vertices for edge in self._edges), *radii]
         counts = [np.shape(part)[0] for part in points]
-        owners = [*range(len(shapes)), *self._turning]
+        owners = [*range(len(shapes)), *(k for k, _ in turning)]
         self._points, self._ends = np.concatenate(points), np.cumsum(counts)[:-1]
         self._of = self._frames[np.repeat(owners, counts)]
         width = thinner(points_of(film.unit, ax)) * (0.6 if len(film.shapes) > _MANY else 1.0)
@@ -222,9 +219,7 @@ class _Bodies:
 
 def state_colour(film: Film, instant: int, region: int) -> str:
     """Return the colour of a region's state at an instant; the colour of bodies without one."""
-    if region < 0:
-        return BODY
-    return state_colours(film.states[region])[film.state(instant, region)]
+    return BODY if region < 0 else state_colours(film.states[region])[film.state(instant, region)]
 
 
 def _edge(shape: Shape) -> Path:

@@ -38,12 +38,8 @@ _FORCE_TOLERANCES = 10.0
 _CONSTANT = 2e-3
 # Fraction of a run shown after the last change; a cut saves at least the second fraction.
 REST, _SAVED = 0.08, 0.25
-_STATES = {
-    "length": "position",
-    "angle": "angle",
-    "length/time": "velocity",
-    "angle/time": "angular velocity",
-}
+_STATES = {"length": "position", "angle": "angle"}
+_STATES |= {"length/time": "velocity", "angle/time": "angular velocity"}
 _OTHER_STATES = ("coordinate", "rate", "memory")
 _ORDER = ("position", "coordinate", "angle", "velocity", "rate", "angular velocity", "memory")
 
@@ -78,8 +74,7 @@ def remarks(names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     for remark, those in names.items():
         more = len(those) - _MAX_NAMED
         shown = [*those[:_MAX_NAMED], *([f"{more} more"] if more > 0 else [])]
-        if shown:
-            texts.append(f"{remark}: {', '.join(shown)}")
+        texts += [f"{remark}: {', '.join(shown)}"] if shown else []
     return tuple(texts)
 
 
@@ -101,11 +96,8 @@ def end_of_activity(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> 
     events = [jump.t for jump in trace.jumps if jump.t < trace.t_end]
     last = max(events, default=0.0)
     for panel in panels:
-        columns = [
-            np.nan_to_num(samples.columns[name], posinf=0.0, neginf=0.0)
-            for name in (*panel.names, *panel.left_out)
-            if name in samples.columns
-        ]
+        names = [n for n in (*panel.names, *panel.left_out) if n in samples.columns]
+        columns = [np.nan_to_num(samples.columns[n], posinf=0.0, neginf=0.0) for n in names]
         spans = [float(np.ptp(values)) for values in columns]
         widest = max(spans[: len(panel.names)], default=np.inf)
         for place, values in enumerate(columns):
@@ -181,12 +173,8 @@ def _choose_panel(title: str, names: Sequence[str], unit: str, samples: Samples)
         # Constant curves by their distance from zero.
         order = {n: (-m if m > round_off else 0.0, -largest(columns[n])) for n, m in spans.items()}
         drawn = sorted(names, key=order.__getitem__)[:MAX_CURVES]
-    return Panel(
-        title,
-        tuple(name for name in names if name in drawn),
-        unit,
-        tuple(name for name in names if name not in drawn),
-    )
+    shown = tuple(name for name in names if name in drawn)
+    return Panel(title, shown, unit, tuple(name for name in names if name not in drawn))
 
 
 def _evenly_chosen(sizes: Mapping[str, float], round_off: float = 0.0) -> list[str]:
@@ -240,12 +228,10 @@ def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
                 names.append(f"{region}.gap")
     if not names:
         return []
-    changing = {
-        f"{region}.gap"
-        for jump in trace.jumps
-        for region, source, target in zip(trace.regions, jump.source, jump.target, strict=True)
-        if source != target
-    }
+    changing = set[str]()
+    for jump in trace.jumps:
+        states = zip(trace.regions, jump.source, jump.target, strict=True)
+        changing |= {f"{region}.gap" for region, source, target in states if source != target}
     active = [name for name in names if name in changing]
     active = active if active and len(names) > MAX_CURVES else names
     panel = _choose_panel("gap", active, model.unit(names[0]), samples)
@@ -271,10 +257,8 @@ def _force_panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[
         slanted = tangential in columns and largest(columns[tangential]) > 0.0
         drawn = (normal, tangential) if slanted else (normal,)
         marked = (region,) if region in struck else ()
-        unit = unit_of("impulse", model.units)
-        panels.append(
-            Panel("force", drawn, model.unit(normal), cone=cone, impulses=marked, impulse_unit=unit)
-        )
+        panel = Panel("force", drawn, model.unit(normal), cone=cone, impulses=marked)
+        panels.append(replace(panel, impulse_unit=unit_of("impulse", model.units)))
     first, others = panels[:_MAX_FORCES], panels[_MAX_FORCES:]
     if others:
         left_out = tuple(name for panel in others for name in panel.names)
@@ -311,11 +295,9 @@ def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> li
 
 def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
     # Coefficients of contacts are drawn as friction cones.
-    names = [
-        name
-        for name, expression in automaton.observables.items()
-        if expression in automaton.controls and "." not in name and name != TIME
-    ]
+    observed = automaton.observables.items()
+    controls = (name for name, expression in observed if expression in automaton.controls)
+    names = [name for name in controls if "." not in name and name != TIME]
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(automaton.declaration.unit(name), []).append(name)

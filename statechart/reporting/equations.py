@@ -48,12 +48,9 @@ def format_equations(
     zeros = ((automaton.parameter_names[i], automaton.parameters[i]) for i in setup.zeros)
     made = blocks(automaton, key, frozenset(s for name, s in zeros if name not in declared))
     if digits < ALL_DIGITS:
-        made = [
-            EquationBlock(
-                title, tuple((_round_side(a, digits), _round_side(b, digits)) for a, b in rows)
-            )
-            for title, rows in made
-        ]
+        for k, (title, rows) in enumerate(made):
+            rounded = ((_round_side(a, digits), _round_side(b, digits)) for a, b in rows)
+            made[k] = EquationBlock(title, tuple(rounded))
     return _FORMS[form](automaton, key, made)
 
 
@@ -67,9 +64,8 @@ def mode_named(automaton: Automaton, text: object) -> Key:
     """Parse the name of a mode: ``tip:pin``, ``A:free B:slide+``, or ``pin`` for one region."""
     example = automaton.label(tuple(r.states[0] for r in automaton.regions))
     if not isinstance(text, str):
-        raise DeclarationError(
-            f"a mode is text, a state of every region, not {text!r}", advice=f"such as {example!r}"
-        )
+        message = f"a mode is text, a state of every region, not {text!r}"
+        raise DeclarationError(message, advice=f"such as {example!r}")
     states: dict[str, str] = {}
     for word in text.replace(",", " ").split():
         name, _, state = word.rpartition(":")
@@ -85,20 +81,18 @@ def mode_named(automaton: Automaton, text: object) -> Key:
         states[name] = state
     missing = [region.name for region in automaton.regions if region.name not in states]
     if missing:
-        raise DeclarationError(
-            f"mode {text!r}: no state of {', '.join(missing)}",
-            advice=f"name one of every region, such as {example}",
-        )
+        advice = f"name one of every region, such as {example}"
+        raise DeclarationError(f"mode {text!r}: no state of {', '.join(missing)}", advice=advice)
     return tuple(states[region.name] for region in automaton.regions)
 
 
 def _lines(automaton: Automaton, block: EquationBlock) -> list[str]:
     names = {symbol: sp.Symbol(name) for symbol, name in _names(automaton).items()}
-    pairs = [
-        [to_text(side.xreplace(names), full_prec=False) for side in sides]
-        for sides in block.equations
-    ]
-    return [" = ".join(pair) for pair in pairs]
+
+    def text(side: sp.Expr) -> str:
+        return to_text(side.xreplace(names), full_prec=False)
+
+    return [" = ".join(map(text, sides)) for sides in block.equations]
 
 
 def _text(automaton: Automaton, key: Key, made: Sequence[EquationBlock]) -> str:
@@ -122,10 +116,9 @@ def _latex(automaton: Automaton, key: Key, made: Sequence[EquationBlock]) -> str
     lines = [f"% {automaton.name}, {automaton.label(key)}"]
     for block in made:
         lines += [f"% {block.title}", r"\begin{align*}"]
-        lines += [
-            "  " + " &= ".join(sp.latex(side, symbol_names=names) for side in equation) + r" \\"
-            for equation in block.equations
-        ]
+        for equation in block.equations:
+            pair = (sp.latex(side, symbol_names=names) for side in equation)
+            lines.append(rf"  {' &= '.join(pair)} \\")
         lines.append(r"\end{align*}")
     return "\n".join(lines) + "\n"
 
@@ -252,12 +245,9 @@ def _moving(row: sp.Expr, coordinates: Coordinates) -> Equation:
         rest -= sp.expand_mul(coefficient * a)
     scale = sp.Dummy("scale", positive=True)
     faster = {v: scale * v for v in coordinates.rates}
-    quadratic = [
-        term
-        for term in sp.Add.make_args(sp.expand_mul(rest))
-        if sp.expand(term.xreplace(faster) - scale**2 * term) == 0
-    ]
-    centripetal = sp.Add(*quadratic)
+    terms = sp.Add.make_args(sp.expand_mul(rest))
+    excess = [sp.expand(term.xreplace(faster) - scale**2 * term) for term in terms]
+    centripetal = sp.Add(*(term for term, off in zip(terms, excess, strict=True) if off == 0))
     left.append(_short(centripetal))
     return sp.Add(*left), _short(-sp.expand_mul(rest - centripetal))
 

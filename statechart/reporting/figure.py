@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from io import BytesIO
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -172,11 +172,9 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
         edge = line.values(friction * samples.columns[name])
         t = line.times
         ax.fill_between(t, -edge, edge, color="#000000", alpha=0.06, linewidth=0.0, zorder=0)
-        for sign in (1.0, -1.0):
-            label = "\u00b1\u03bcV, the cone" if sign > 0 else None
-            ax.plot(
-                t, sign * edge, color="#777777", linewidth=0.9, linestyle=(0, (4, 2)), label=label
-            )
+        look: Any = {"color": "#777777", "linewidth": 0.9, "linestyle": (0, (4, 2))}
+        ax.plot(t, edge, **look, label="\u00b1\u03bcV, the cone")
+        ax.plot(t, -edge, **look)
         # A cone much wider than the force is clipped.
         reach = min(largest(edge), 2.0 * max(abs(low), abs(high)))
         low, high = min(low, -1.08 * reach), max(high, 1.08 * reach)
@@ -194,19 +192,11 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
 
 def _mark_impulses(ax: Axes, panel: Panel, trace: Trace) -> None:
     """Mark the times of impulses on a force axis."""
+    look: Any = {"ms": 5.0, "color": RUN, "markeredgecolor": "white", "markeredgewidth": 0.5}
     for region in panel.impulses:
         times, impulses = impulses_of(trace, region)
-        ax.plot(
-            times,
-            np.zeros(len(times)),
-            "^",
-            markersize=5.0,
-            color=RUN,
-            markeredgecolor="white",
-            markeredgewidth=0.5,
-            zorder=4,
-            label=impulse_label(panel, impulses),
-        )
+        label = impulse_label(panel, impulses)
+        ax.plot(times, np.zeros(len(times)), "^", **look, zorder=4, label=label)
 
 
 def _draw_impulses(ax: Axes, panel: Panel, trace: Trace) -> tuple[float, float]:
@@ -256,18 +246,9 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
     if len(times) > _MAX_LINES:
         return 0
     faint = 0.8 if len(jumps) <= _MAX_LABELLED else 0.35
+    look: Any = {"color": INK, "alpha": faint, "linewidth": 0.6, "linestyle": (0, (1, 2))}
     for ax in axes:
-        ax.vlines(
-            times,
-            0.0,
-            1.0,
-            transform=ax.get_xaxis_transform(),
-            color=INK,
-            alpha=faint,
-            linewidth=0.6,
-            linestyle=(0, (1, 2)),
-            zorder=2,
-        )
+        ax.vlines(times, 0.0, 1.0, transform=ax.get_xaxis_transform(), zorder=2, **look)
     if len(jumps) > _MAX_LABELLED:
         return 0
     free = [-1.0] * _LEVELS
@@ -279,17 +260,12 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
         if level is None:
             continue
         free[level] = left + width + (_LABEL_GAP if left < place else 0.0)
+        above = (0.0, 2.0 + _LEVEL_HEIGHT * level)
+        side = "left" if left == place else "right"
         axes[0].annotate(
-            label,
-            (jump.t, 1.0),
-            (0.0, 2.0 + _LEVEL_HEIGHT * level),
-            xycoords=top,
-            textcoords="offset points",
-            fontsize=8,
-            color=INK,
-            ha="left" if left == place else "right",
-            va="bottom",
-        )
+            label, (jump.t, 1.0), above, xycoords=top, textcoords="offset points",
+            fontsize=8, color=INK, ha=side, va="bottom",
+        )  # fmt: skip
     return sum(last > -1.0 for last in free)
 
 
@@ -317,13 +293,10 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
     for y, row in zip(reversed(range(len(places))), places, strict=True):
         colours = automaton.colours[trace.regions[row]]
         for state, stretches in _visible(_intervals(trace, row), end).items():
-            ax.broken_barh(
-                [(start, last - start) for start, last in stretches],
-                (y + 0.1, 0.8),
-                facecolors=colours[state],
-                edgecolor="white",
-                linewidth=0.4 if len(stretches) < _MAX_NAMED else 0.0,
-            )
+            spans = [(start, last - start) for start, last in stretches]
+            width = 0.4 if len(stretches) < _MAX_NAMED else 0.0
+            look: Any = {"facecolors": colours[state], "edgecolor": "white", "linewidth": width}
+            ax.broken_barh(spans, (y + 0.1, 0.8), **look)
             seen = [(start, min(last, end)) for start, last in stretches if start < end]
             wide = [pair for pair in seen if (pair[1] - pair[0]) / end > label_width(state)]
             for start, last in wide[:_MAX_NAMED]:
@@ -376,8 +349,7 @@ def _visible(stretches: Intervals, end: float) -> Intervals:
     times = edges[:-1] + np.arange(COLUMNS) * ((5**0.5 - 1) / 2) % 1 * (end / COLUMNS)
     places = np.searchsorted([start for start, _ in every], times, side="right") - 1
     states = np.array([every[place][1] for place in places])
-    begins = np.flatnonzero(states != np.roll(states, 1))
-    begins = np.union1d(begins, [0])
+    begins = np.union1d(np.flatnonzero(states != np.roll(states, 1)), [0])
     seen: Intervals = {state: [] for state in stretches}
     for first, after in zip(begins, [*begins[1:], COLUMNS], strict=True):
         seen[str(states[first])].append((float(edges[first]), float(edges[after])))
@@ -406,15 +378,9 @@ def remark_lines(texts: Sequence[str]) -> list[Artist]:
 def legend(ax: Axes, handles: Sequence[Artist], columns: int = 1) -> None:
     """Draw a legend to the right of the axes."""
     ax.legend(
-        handles=handles,
-        loc="center left",
-        bbox_to_anchor=(1.0, 0.5),
-        borderaxespad=0.3,
-        handlelength=1.4,
-        labelspacing=0.2,
-        columnspacing=1.0,
-        ncols=columns,
-    )
+        handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=columns,
+        borderaxespad=0.3, handlelength=1.4, labelspacing=0.2, columnspacing=1.0,
+    )  # fmt: skip
 
 
 def label_width(text: str) -> float:

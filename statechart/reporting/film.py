@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +29,8 @@ def stage_of(automaton: Automaton) -> Stage:
     name = automaton.declaration.kind
     stage = kind(name).stage
     if stage is None:
-        raise StatechartError(
-            f"a {name} has no bodies to draw; its figure and its diagram show the run"
-        )
+        message = f"a {name} has no bodies to draw; its figure and its diagram show the run"
+        raise StatechartError(message)
     return stage(automaton)
 
 
@@ -41,16 +40,11 @@ def film_at(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) ->
     names = (*automaton.names, *stage.observables)
     samples = observer.sample(trace, names, times=times)
     seen = without_round_off(automaton, trace, samples).columns
-    film = stage.film(
-        FilmInstants(
-            samples.t,
-            samples.j,
-            tuple(samples.modes[place] for place in samples.mode),
-            np.column_stack([samples.columns[name] for name in automaton.names]),
-            {name: seen[name] for name in stage.observables},
-            trace.parameters,
-        )
-    )
+    modes = tuple(samples.modes[place] for place in samples.mode)
+    states = np.column_stack([samples.columns[name] for name in automaton.names])
+    observed = {name: seen[name] for name in stage.observables}
+    instants = FilmInstants(samples.t, samples.j, modes, states, observed, trace.parameters)
+    film = stage.film(instants)
     return replace(film, unit_of_time=unit_suffix(automaton.declaration.unit(TIME)))
 
 
@@ -58,48 +52,30 @@ def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
     """Return the time of the last visible motion plus a margin, at most the end of the run."""
     times = np.linspace(0.0, trace.t_end, _INSTANTS)
     film = film_at(stage, observer, trace, times)
-    displacements = (
-        np.abs(film.poses[:, :, :2] - film.poses[-1:, :, :2]).max(axis=(1, 2)) / film.unit
-    )
-    turned = np.abs(film.poses[:, :, 2] - film.poses[-1:, :, 2]).max(axis=1)
-    moving = np.flatnonzero(np.maximum(displacements, turned) > _STILL)
+    off = np.abs(film.poses - film.poses[-1]).max(axis=1) / (film.unit, film.unit, 1.0)
+    moving = np.flatnonzero(off.max(axis=1) > _STILL)
     if not len(moving):
         return trace.t_end
     last = float(times[min(moving[-1] + 1, len(times) - 1)])
     return min(trace.t_end, (1.0 + REST) * last)
 
 
-@dataclass(frozen=True)
-class AnimationOptions:
-    """Options of an animation.
-
-    `speed` is simulated time per second of the film; `size` the longer side in pixels; `trail` the
-    length of trails in simulated time, by default from the start.
-    """
-
-    speed: float | None = None
-    size: int = 720
-    trail: float | None = None
-
-
 def animate(
     observer: Observer,
     trace: Trace,
-    path: Path | str,
-    showing: AnimationOptions,
+    path: Path,
     *,
-    progress: bool = False,
-) -> Path:
-    """Write an animation of a run, from its start until the last visible motion."""
-    path = Path(path)
-    animation.check(path, showing.size, showing.speed, showing.trail)
+    speed: float | None,
+    size: int,
+    trail: float | None,
+    progress: bool,
+) -> None:
+    """Write an animation of a run until the last visible motion; see `Result.animate`."""
+    animation.check(path, size, speed, trail)
     stage = stage_of(observer.automaton)
-    speed, times = animation.pace(until_rest(stage, observer, trace), showing.speed)
+    speed, times = animation.pace(until_rest(stage, observer, trace), speed)
     film = film_at(stage, observer, trace, times)
-    animation.write_animation(
-        film, path, speed=speed, size=showing.size, trail=showing.trail, progress=progress
-    )
-    return path
+    animation.write_animation(film, path, speed=speed, size=size, trail=trail, progress=progress)
 
 
 def strip_of(observer: Observer, trace: Trace) -> Film | None:

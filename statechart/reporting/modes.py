@@ -5,31 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from statechart import tabular
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import MAX_MODES, Feasibility, Setup
 from statechart.automaton.product import explore, feasibility
 from statechart.automaton.regions import Edge, HierarchicalEdge, Region, hierarchical_edges
 from statechart.errors import DeclarationError, close_matches
-from statechart.tabular import (
-    DIGITS,
-    Table,
-    TextBlock,
-    abridge,
-    join_blocks,
-    number,
-    pluralise,
-    readable_count,
-)
 
 
 def list_modes(
     automaton: Automaton, setup: Setup, state: Array, time: float = 0.0, built: int = 0
 ) -> dict[str, Any]:
-    """Return the modes of a model as a JSON object, with their feasibility at a state (n,).
-
-    `built` counts the modes built so far.
-    """
+    """Return the modes of a model as a JSON object, with their feasibility at a state (n,)."""
     found = feasibility(automaton, setup, state, time)
     return {
         "model": automaton.name,
@@ -48,44 +36,40 @@ def check_variables(automaton: Automaton, names: Iterable[str]) -> None:
     """Raise `DeclarationError` if a name is not a variable."""
     for name in names:
         if name not in automaton.names:
-            raise DeclarationError(
-                f"--at {name}: the model has no such variable",
-                advice=close_matches(name, automaton.names),
-            )
+            advice = close_matches(name, automaton.names)
+            raise DeclarationError(f"--at {name}: the model has no such variable", advice=advice)
 
 
-def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[TextBlock]:
+def format_listing(
+    listed: Mapping[str, Any], digits: int = tabular.DIGITS
+) -> list[tabular.TextBlock]:
     """Return a listing as lines and tables, without directions of sliding."""
     count = format_count(listed["modes_declared"], listed["modes_total"])
     built = listed["modes_built"]
     head = f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"
-    parts: list[list[TextBlock]] = [[head]]
+    parts: list[list[tabular.TextBlock]] = [[head]]
     if not listed["enumerated"]:
         counts = [
             (f"  ... {r} more: --json has all", "")
             if isinstance(r, int)
             else (f"  {r['name']}", format_count(r["modes_declared"], r["modes_total"]))
-            for r in abridge(listed["regions"])
+            for r in tabular.abridge(listed["regions"])
         ]
         words = f"more than {MAX_MODES} modes: the product is not enumerated; regions:\n"
-        parts.append([words, Table(counts)])
+        parts.append([words, tabular.Table(counts)])
     if listed["feasibility"] is not None:
         parts.append(_possible(listed, digits))
     parts += [
         [f"... {region} more: --json has all\n"] if isinstance(region, int) else _edges(region)
-        for region in abridge(listed["regions"])
+        for region in tabular.abridge(listed["regions"])
     ]
-    return join_blocks(parts)
+    return tabular.join_blocks(parts)
 
 
 def format_count(declared: int, total: int) -> str:
     """Return numbers of modes as text, without and with directions of sliding."""
-    words = pluralise(declared, "mode")
-    return (
-        words
-        if declared == total
-        else f"{words} ({readable_count(total)} with directions of sliding)"
-    )
+    directed = f" ({tabular.readable_count(total)} with directions of sliding)"
+    return tabular.pluralise(declared, "mode") + (directed if total != declared else "")
 
 
 def _region(region: Region) -> dict[str, Any]:
@@ -101,21 +85,13 @@ def _region(region: Region) -> dict[str, Any]:
 
 
 def _edge(edge: Edge | HierarchicalEdge) -> dict[str, Any]:
-    return {
-        "cause": edge.cause,
-        "from": edge.source,
-        "to": edge.target,
-        "guard": edge.guard,
-        "reset": edge.reset,
-    }
+    ends = {"cause": edge.cause, "from": edge.source, "to": edge.target}
+    return {**ends, "guard": edge.guard, "reset": edge.reset}
 
 
 def _arrow(edge: HierarchicalEdge) -> dict[str, Any]:
-    return {
-        **_edge(edge),
-        "choices": [{"to": c.target, "reset": c.reset} for c in edge.choices],
-        **({"internal": True} if edge.internal else {}),
-    }
+    choices = [{"to": choice.target, "reset": choice.reset} for choice in edge.choices]
+    return {**_edge(edge), "choices": choices} | ({"internal": True} if edge.internal else {})
 
 
 def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
@@ -130,34 +106,28 @@ def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
             "infeasible": [{"mode": mode, "reason": why} for mode, why in named if why],
         }
 
-    return {
-        "remarks": list(found.remarks),
-        "with_direction": verdicts(True),
-        "without_direction": verdicts(False),
-    }
+    both = {"with_direction": verdicts(True), "without_direction": verdicts(False)}
+    return {"remarks": list(found.remarks), **both}
 
 
-def _possible(listed: Mapping[str, Any], digits: int) -> list[TextBlock]:
+def _possible(listed: Mapping[str, Any], digits: int) -> list[tabular.TextBlock]:
     found = listed["feasibility"]
     plain, directed = found["without_direction"], found["with_direction"]
     counts = f"{len(plain['feasible'])} of {plain['declared']}"
     if directed["declared"] != plain["declared"]:
         counts += f" ({len(directed['feasible'])} of {directed['declared']} with directions)"
     where = ", ".join(
-        f"{name} = {number(value, digits)}" for name, value in listed["state"].items()
+        f"{name} = {tabular.number(x, digits)}" for name, x in listed["state"].items()
     )
-    lines = [
-        f"kinematically possible at t = {number(listed['time'], digits)}: {counts}\n",
-        f"  {where}\n",
-    ]
-    lines += [f"  {remark}\n" for remark in found["remarks"]]
+    head = f"kinematically possible at t = {tabular.number(listed['time'], digits)}: {counts}\n"
+    lines = [head, *(f"  {remark}\n" for remark in (where, *found["remarks"]))]
     names = [region["name"] for region in listed["regions"]]
     if not names:
         return ["".join(lines)]
     rows = [(f"  {names[0]}", *names[1:], "")]
     rows += [_mode_row(mode, "possible") for mode in plain["feasible"]]
     rows += [_mode_row(one["mode"], f"not: {one['reason']}") for one in plain["infeasible"]]
-    return ["".join(lines), Table(rows, headed=True)]
+    return ["".join(lines), tabular.Table(rows, headed=True)]
 
 
 def _mode_row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:
@@ -165,17 +135,13 @@ def _mode_row(mode: Mapping[str, str], verdict: str) -> tuple[str, ...]:
     return (f"  {first}", *others, verdict)
 
 
-def _edges(region: Mapping[str, Any]) -> list[TextBlock]:
-    rows = [
-        (
-            f"  {edge['from']} -> {edge['to']}",
-            edge["cause"],
-            f"[{edge['guard']}]" + (", internal" if "internal" in edge else ""),
-            _resets(edge["choices"]),
-        )
-        for edge in region["hierarchical_edges"]
-    ]
-    return [f"{region['name']}: {_nested(region)}\n", *([Table(rows)] if rows else [])]
+def _edges(region: Mapping[str, Any]) -> list[tabular.TextBlock]:
+    rows = []
+    for edge in region["hierarchical_edges"]:
+        guard = f"[{edge['guard']}]" + (", internal" if "internal" in edge else "")
+        ends = f"  {edge['from']} -> {edge['to']}"
+        rows.append((ends, edge["cause"], guard, _resets(edge["choices"])))
+    return [f"{region['name']}: {_nested(region)}\n", *([tabular.Table(rows)] if rows else [])]
 
 
 def _nested(region: Mapping[str, Any]) -> str:

@@ -118,10 +118,8 @@ def report(
         },
     }
     safe: dict[str, Any] = json_safe(result)
-    return safe | {
-        "modes": [_states_by_region(trace, key) for key in trace.modes],
-        "events": events,
-    }
+    modes = [_states_by_region(trace, key) for key in trace.modes]
+    return safe | {"modes": modes, "events": events}
 
 
 def _outcome(trace: Trace) -> dict[str, Any]:
@@ -180,10 +178,8 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         flows.setdefault(arc.roles, []).append(arc)
     for roles, arcs in flows.items():
         shown, tape = observer.margins_of(trace, roles)
-        found, coefficients = np.split(lowest(tape, arcs, trace.values), 2)
-        for margin, value, coefficient in zip(
-            shown, found.tolist(), coefficients.tolist(), strict=True
-        ):
+        pairs = lowest(tape, arcs, trace.values).reshape(2, -1).T.tolist()
+        for margin, (value, coefficient) in zip(shown, pairs, strict=True):
             if math.isinf(coefficient):
                 continue
             before = least.get(margin.name, math.inf)
@@ -224,10 +220,7 @@ def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
 
 
 def dumps(report: Mapping[str, Any]) -> str:
-    """Return a report as JSON, every event on a line of its own.
-
-    Floats are printed with the fewest digits that read back as the same float.
-    """
+    """Return a report as JSON, every event on a line of its own."""
     parts = []
     for key, value in report.items():
         if key == "events" and value:
@@ -284,14 +277,11 @@ def _event(
     }
     if explained is not None:
         event["margins"] = explained
-    numbers = [*event["state"].values(), *event["state_before"].values(), *(jump.energy or ())]
-    numbers += [jump.skipped, condition or 0.0, *jump.joint_impulse.values()]
-    numbers += [size for pair in jump.impulse.values() for size in pair]
-    numbers += (explained or {}).values()
-    if all(map(math.isfinite, numbers)):
-        return event  # several times as fast
-    safe: dict[str, Any] = json_safe(event)
-    return safe
+    try:
+        json.dumps(event, allow_nan=False)  # several times as fast as `json_safe`
+    except ValueError:
+        event = json_safe(event)
+    return event
 
 
 def _states_by_region(trace: Trace, key: Key) -> dict[str, str]:
@@ -300,14 +290,10 @@ def _states_by_region(trace: Trace, key: Key) -> dict[str, str]:
 
 def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     """Return the modes that a run built, with their coordinates, unknowns and guards."""
-    automaton = observer.automaton
-    simulator = observer.simulator
+    automaton, simulator = observer.automaton, observer.simulator
     if not isinstance(simulator, Simulator):
-        return {
-            "modes": [],
-            "unknowns": len(automaton.unknowns),
-            "recognised": len(set(trace.modes)),
-        }
+        count = len(set(trace.modes))
+        return {"modes": [], "unknowns": len(automaton.unknowns), "recognised": count}
     modes: dict[tuple[str, ...], dict[str, Any]] = {}
     rates = () if automaton.coordinates is None else automaton.coordinates.rates
     named = enumerate(zip(automaton.names, automaton.variables, strict=True))
@@ -329,21 +315,14 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
             "unknowns": len(solved),
             "guards": {m.name: trace.evidence.get(m.name, "") for m in mode.margins},
         }
-    return {
-        "modes": list(modes.values()),
-        "unknowns": max((mode["unknowns"] for mode in modes.values()), default=0),
-        "recognised": 0,
-    }
+    most = max((mode["unknowns"] for mode in modes.values()), default=0)
+    return {"modes": list(modes.values()), "unknowns": most, "recognised": 0}
 
 
 def unrecorded_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
     """Return the invariants on states that the run did not record."""
-    recorded = {*trace.regions}
-    return [
-        one
-        for one in automaton.invariants
-        if not recorded.issuperset(member.region for member in one.relation.members)
-    ]
+    regions = ((one, {m.region for m in one.relation.members}) for one in automaton.invariants)
+    return [one for one, used in regions if not used <= {*trace.regions}]
 
 
 def unused_parts(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:

@@ -35,9 +35,8 @@ def write_store(
 
     trace.require_motion()
     if Path(path).exists():
-        raise StatechartError(
-            f"cannot write {path}: there is something of this name; name another place"
-        )
+        message = f"cannot write {path}: there is something of this name; name another place"
+        raise StatechartError(message)
     model = observer.automaton.declaration
     bodies, shared, own = _arrays(trace.variables)
     rows = max(1, _CHUNK // (8 * len(trace.variables)))
@@ -48,15 +47,11 @@ def write_store(
         return dims, values, {"units": unit} if unit else {}, chunks
 
     def data(times: Array, states: Array) -> xr.Dataset:
-        return xr.Dataset(
-            {name: array(("t",), states[:, place], name) for name, place in own.items()}
-            | {
-                part: array(("t", "body"), states[:, places], trace.variables[places[0]])
-                for part, places in shared.items()
-            },
-            {"t": array(("t",), times, TIME)},
-            attributes,
-        )
+        found = {name: array(("t",), states[:, place], name) for name, place in own.items()}
+        for part, places in shared.items():
+            name = trace.variables[places[0]]
+            found[part] = array(("t", "body"), states[:, places], name)
+        return xr.Dataset(found, {"t": array(("t",), times, TIME)}, attributes)
 
     rest = {key: value for key, value in report.items() if key not in ("events", "final")}
     attributes = {"model": trace.name, "report": json.dumps(rest)}

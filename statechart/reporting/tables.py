@@ -52,14 +52,9 @@ def _table(observer: Observer, samples: Samples) -> pd.DataFrame:
     import pandas as pd
 
     names = _columns(samples.columns)
-    table = pd.DataFrame(
-        {
-            "t": samples.t,
-            "j": samples.j,
-            "mode": pd.Categorical.from_codes(samples.mode, _labels(observer, samples)),
-            **{names[name]: values for name, values in samples.columns.items()},
-        }
-    )
+    modes = pd.Categorical.from_codes(samples.mode, _labels(observer, samples))
+    columns = {names[name]: values for name, values in samples.columns.items()}
+    table = pd.DataFrame({"t": samples.t, "j": samples.j, "mode": modes, **columns})
     model = observer.automaton.declaration
     table.attrs["units"] = _without_empty(
         {"t": model.unit(TIME), **{names[n]: model.unit(n) for n in samples.columns}}
@@ -189,34 +184,29 @@ def write_run(
         run, per_step = _shape(trace, done, short)
         return run, observer.sample(run, per_step=per_step)
 
-    def data(short: bool) -> bytes:
-        return netcdf(_data_set(observer, *recorded(short)))
-
-    def sampled(short: bool) -> bytes:
-        return _csv(_table(observer, recorded(short)[1]))
-
-    def events(short: bool) -> bytes:
-        return _csv(events_table(observer, _shape(trace, done, short)[0]))
+    contents: dict[str, Callable[[bool], bytes]] = {
+        "trace.nc": lambda short: netcdf(_data_set(observer, *recorded(short))),
+        "run.json": lambda _: dumps(run).encode(),
+        "samples.csv": lambda short: _csv(_table(observer, recorded(short)[1])),
+        "events.csv": lambda short: _csv(events_table(observer, _shape(trace, done, short)[0])),
+    }
 
     with explain_os_errors("write", folder, _ADVICE):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "there is a file of this name")
         with staging_folder(folder, _FILES) as place:
 
-            def write(name: str, content: Callable[[bool], bytes], short: bool = False) -> None:
-                write_atomic(place / name, content(short))
+            def write(name: str, short: bool = False) -> None:
+                write_atomic(place / name, contents[name](short))
 
             # The trajectory first, since it cannot be recomputed quickly.
             recorded_states = trace.record is not Record.NOTHING
             if recorded_states:
-                done.keep("trace.nc", partial(write, "trace.nc", data), None)
+                done.keep("trace.nc", partial(write, "trace.nc"), None)
             run = report()
-            done.keep("run.json", partial(write, "run.json", lambda _: dumps(run).encode()), None)
-            tables = {"events.csv": events}
-            if recorded_states and samples:
-                tables["samples.csv"] = sampled
-            for name, table in tables.items():
-                done.attempt(name, partial(write, name, table, done.hurried), None)
+            done.keep("run.json", partial(write, "run.json"), None)
+            for name in ("events.csv", *["samples.csv"] * (recorded_states and samples)):
+                done.attempt(name, partial(write, name, done.hurried), None)
             draw_it = partial(figure, observer, trace)
             drawing = done.attempt("figure", draw_it, None) if recorded_states else None
             if drawing is not None:
@@ -228,9 +218,8 @@ def write_run(
             if not names:
                 raise StatechartError(f"cannot write {folder}: {done.text()}; {_ADVICE}")
     if pieces is None and done.failed:
-        raise StatechartError(
-            f"{folder} has only {', '.join(names)}; could not be written: {done.text()}"
-        )
+        message = f"{folder} has only {', '.join(names)}; could not be written: {done.text()}"
+        raise StatechartError(message)
     return names
 
 

@@ -51,16 +51,13 @@ def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[TextBl
     """Return the texts and tables of `summary`."""
     parts: list[list[TextBlock]] = [[_head(report)], _event_blocks(report, digits)]
     units = report.get("units", {})
-    parts += [
-        _values(title, values, units, digits)
-        for title, values in (
-            ("outputs", list(report["outputs"].items())),
-            ("final state", abridge(list(report["final"].items()), FEW)),
-            ("margins, least sampled value", _least(report["margins"])),
-            ("invariants, least exact margin (violated below 0)", _least(report["invariants"])),
-        )
-        if values
-    ]
+    tables: Mapping[str, Sequence[tuple[str, Any] | int]] = {
+        "outputs": list(report["outputs"].items()),
+        "final state": abridge(list(report["final"].items()), FEW),
+        "margins, least sampled value": _least(report["margins"]),
+        "invariants, least exact margin (violated below 0)": _least(report["invariants"]),
+    }
+    parts += [_values(title, values, units, digits) for title, values in tables.items() if values]
     if "alternatives" in report:
         parts.append(_alternatives(report["alternatives"], digits))
     return join_blocks(parts)
@@ -89,11 +86,9 @@ def computation_lines(report: Mapping[str, Any]) -> list[str]:
         lines.append(f"estimated relative error {float(report['error_estimate']):.2g}{words}")
     if report["asked"] is not None:
         cost = report["asked"]["cost"]
-        lines.append(
-            f"it took {pluralise(cost['runs'], 'run')}, {pluralise(cost['steps'], 'step')}, "
-            f"{cost['seconds']:.2g} s; first "
-            f"{kind} {report['asked']['basis']}"
-        )
+        took = f"{pluralise(cost['runs'], 'run')}, {pluralise(cost['steps'], 'step')}"
+        basis = f"first {kind} {report['asked']['basis']}"
+        lines.append(f"it took {took}, {cost['seconds']:.2g} s; {basis}")
         if report["asked"]["not_judged"]:
             names = ", ".join(report["asked"]["not_judged"])
             lines.append(f"without estimate: {names} (they count infinitely many events)")
@@ -124,17 +119,13 @@ def _event_blocks(report: Mapping[str, Any], digits: int) -> list[TextBlock]:
         if report["record"] != "modes":
             return [f"events of contacts were not recorded (record: {report['record']})\n"]
         return ["no events\n"]
-    rows = [
-        (f"... {event} more: {_ALL}", "", "", "")
-        if isinstance(event, int)
-        else (
-            number(event["t"], digits),
-            event["contact"] or "",
-            event["cause"],
-            change(event, ALIKE),
-        )
-        for event in abridge(events, _SHOWN)
-    ]
+    rows = []
+    for event in abridge(events, _SHOWN):
+        if isinstance(event, int):
+            rows.append((f"... {event} more: {_ALL}", "", "", ""))
+        else:
+            what = event["contact"] or "", event["cause"], change(event, ALIKE)
+            rows.append((number(event["t"], digits), *what))
     times = align_numbers([row[0] for row in rows])
     rows = [(t, *row[1:]) for t, row in zip(times, rows, strict=True)]
     return [Table([("t", "region", "cause", "from -> to"), *rows], headed=True)]
@@ -166,15 +157,14 @@ def change(event: Mapping[str, Any], most: int | None = None) -> str:
 def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[TextBlock]:
     if not rows:
         return ["alternatives: none, no two contacts can be hit together\n"]
-    lines = [
-        (
-            f"  {row['choice']}",
-            f"other modes from t = {number(row['diverged'], digits)} on; ends with {row['outcome']}"
-            if not row["same_modes"]
-            else f"same modes; largest relative difference {float(row['difference']):.2g}",
-        )
-        for row in rows
-    ]
+    lines = []
+    for row in rows:
+        if row["same_modes"]:
+            words = f"same modes; largest relative difference {float(row['difference']):.2g}"
+        else:
+            words = f"other modes from t = {number(row['diverged'], digits)} on"
+            words += f"; ends with {row['outcome']}"
+        lines.append((f"  {row['choice']}", words))
     return ["alternatives\n", Table(lines)]
 
 
@@ -200,21 +190,18 @@ def _values(
 ) -> list[TextBlock]:
     """Return a table of values and units; an integer item is a number of omitted values."""
     known = [item for item in values if not isinstance(item, int)]
-    texts = iter(align_numbers([number(value, digits) for _, value in known]))
-    lines = [
-        ("", item) if isinstance(item, int) else (_guard(item[0]), next(texts)) for item in values
-    ]
-    lists = {name for name, value in known if isinstance(value, list)}
-    width = max((len(x) for n, x in lines if isinstance(x, str) and n not in lists), default=0)
-    rows = [
-        (f"  ... {text} more: {_ALL}", "")
-        if isinstance(text, int)
-        else (
-            f"  {name if len(name) <= _CHARACTERS else name[: _CHARACTERS - 3] + '...'}",
-            f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip(),
-        )
-        for name, text in lines
-    ]
+    texts = align_numbers([number(value, digits) for _, value in known])
+    shown = dict(zip((name for name, _ in known), texts, strict=True))
+    numbers = (shown[name] for name, value in known if not isinstance(value, list))
+    width = max(map(len, numbers), default=0)
+    rows = []
+    for item in values:
+        if isinstance(item, int):
+            rows.append((f"  ... {item} more: {_ALL}", ""))
+            continue
+        name, unit = _guard(item[0]), unit_suffix(units.get(item[0], ""))
+        name = name if len(name) <= _CHARACTERS else f"{name[: _CHARACTERS - 3]}..."
+        rows.append((f"  {name}", f"{shown[item[0]].ljust(width)}  {unit}".rstrip()))
     return [f"{title}\n", Table(rows)]
 
 
@@ -234,19 +221,17 @@ def explained(
     path = event["path"]
     if awaited := [] if event["fired"] else [step for step in path if step.startswith("on ")]:
         path = []
-    fired = ", ".join(map(_guard, event["fired"] or awaited)) or (
-        _IMMEDIATE if step is None else _STEPPED
-    )
-    margins = sorted(
-        event.get("margins", {}).items(), key=lambda item: item[0] not in event["fired"]
-    )
+    otherwise = _IMMEDIATE if step is None else _STEPPED
+    fired = ", ".join(map(_guard, event["fired"] or awaited)) or otherwise
+    margins = dict(event.get("margins", {}))
+    ordered = sorted(margins, key=lambda name: name not in event["fired"])
     impulses = {
         name: ", ".join(f"{part} {number(size, digits)}" for part, size in pair.items())
         for name, pair in event["impulse"].items()
     }
     parts: dict[str, list[tuple[str, ...]]] = {
         "fired": [(fired,)],
-        "margins": columns(dict(margins)),
+        "margins": columns({name: margins[name] for name in ordered}),
         "impulse": [*impulses.items(), *columns(event.get("joint_impulse", {}))],
         "path": [(step,) for step in path],
     }
@@ -276,11 +261,10 @@ def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Text
 
 
 def _event(title: str, parts: Sequence[tuple[str, list[tuple[str, ...]]]]) -> list[TextBlock]:
-    rows = [
-        (f"  {'' if place else head}", text)
-        for head, lines in parts
-        for place, text in enumerate(table(lines).splitlines())
-    ]
+    rows = []
+    for head, lines in parts:
+        first, *others = table(lines).splitlines()
+        rows += [(f"  {head}", first), *(("  ", text) for text in others)]
     return [f"{title}\n", Table(rows)]
 
 

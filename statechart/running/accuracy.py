@@ -25,12 +25,7 @@ from statechart.execution.flow import STIFF
 from statechart.execution.perturbation import Start
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.alignment import pair_jumps
-from statechart.observation.difference import (
-    Difference,
-    compare,
-    distance,
-    mode_disagreement,
-)
+from statechart.observation.difference import Difference, compare, distance, mode_disagreement
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import outputs_of
@@ -187,19 +182,12 @@ class EvaluatedRun:
         self, other: EvaluatedRun, scales: Scales, endless: Iterable[str] = (), **options: Any
     ) -> Difference:
         """Return the difference of another run; see `compare` for the options."""
-        cuts = {
+        options["endless"] = {
             name: (self.truncated.get(name, ()), other.truncated.get(name, ()))
             for name in {*endless, *self.endless, *other.endless}
         }
-        return compare(
-            self.trace,
-            other.trace,
-            self.outputs,
-            other.outputs,
-            scales=scales,
-            endless=cuts,
-            **options,
-        )
+        runs = self.trace, other.trace
+        return compare(*runs, self.outputs, other.outputs, scales=scales, **options)
 
     @property
     def counts_events(self) -> bool:
@@ -294,9 +282,8 @@ class _Tightened(_Series):
             self._error = self._magnified(now)
         elif self._last is not None:
             before = self._last.trace
-            error = self._difference(
-                self._last, now, f"at the tolerances {before.tolerance:.2g} and"
-            )
+            words = f"at the tolerances {before.tolerance:.2g} and"
+            error = self._difference(self._last, now, words)
             well = trace.tolerance if self._accuracy is None else self._accuracy
             if error.size <= well or (last and error.size < math.inf):
                 error = max(error, self._grown(self._last, now, well))
@@ -374,11 +361,10 @@ class _Tightened(_Series):
             return (self.diverged,)
         if self._merged is None:
             return ()
-        ignored = (
+        return (
             f"from t = {self._merged:.6g} on the runs differ in modes shorter than "
-            f"{self._brief:g} of the run, which the error estimate ignores"
+            f"{self._brief:g} of the run, which the error estimate ignores",
         )
-        return (ignored,)
 
 
 def tighten(
@@ -447,16 +433,14 @@ def run_within_budget(
         tolerance = max(tolerance * stride, floor)
     taken, warnings = spent + runs.seconds, best.warnings
     over = taken > max(_OVERRUN * budget, budget + _MOMENT)
+    reason = "as the compilation of a mode is not interrupted"
     if best.error is None and best.trace.outcome not in WITHOUT_ERROR:
-        reason = ", as the compilation of a mode is not interrupted"
-        exceeded = f", of {taken:.2g} s{reason}" if over else ""
+        exceeded = f", of {taken:.2g} s, {reason}" if over else ""
         advice = f"for an error estimate take --budget {_ADVISED * taken:.2g}"
         warnings = (f"the budget of {budget:g} s allowed one run{exceeded}; {advice}",)
     elif over:
-        warnings += (
-            f"the run took {taken:.2g} s, more than the budget of {budget:g} s, as the "
-            "compilation of a mode is not interrupted; the next run needs none",
-        )
+        words = f"the run took {taken:.2g} s, more than the budget of {budget:g} s"
+        warnings += (f"{words}, {reason}; the next run needs none",)
     return replace(best, warnings=warnings, cost=runs.cost)
 
 
@@ -471,8 +455,7 @@ def replay(once: Once, chosen: Chosen) -> RunEstimate | None:
     observer, trace = series.make(chosen.setting.tolerance, False)
     cost = series.cost
     if trace.outcome is Outcome.INTERRUPTED:
-        warning = "interrupted before it came to its end"
-        return RunEstimate(observer, trace, math.inf, cost, (warning,))
+        return series.interrupted(observer, trace)
     made = (trace.outcome.name, len(trace.arcs), cost.steps, cost.evaluations)
     if made != (chosen.outcome, chosen.flows, chosen.steps, chosen.evaluations):
         return None
@@ -525,13 +508,11 @@ class _Refined(_Series):
         self, coarse: EvaluatedRun, fine: EvaluatedRun
     ) -> tuple[float, str, float | None]:
         """Return the difference of two runs, its quantity, and the time of the first other mode."""
-        found = coarse.difference(
-            fine,
-            fine.scales,
-            endless=self._endless,
-            brief=self._brief,
-            nothing=_AT_REST * fine.trace.tolerances.get("speed", 0.0),
-        )
+        options = {
+            "brief": self._brief,
+            "nothing": _AT_REST * fine.trace.tolerances.get("speed", 0.0),
+        }
+        found = coarse.difference(fine, fine.scales, self._endless, **options)
         parts = {str(found.decides): max(found.state, found.times, found.outputs)}
         if found.diverged is not None and max(parts.values()) < math.inf:
             # The number of resolved bounces depends on the step: only the path converges, and the

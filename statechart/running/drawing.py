@@ -167,13 +167,9 @@ def graph(
     setup = runner.setup({name: values[name] for name in runner.model.parameters if name in values})
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
     part = explore(
-        runner.automaton,
-        around=start,
-        within=within,
-        trace=trace,
-        found=found,
+        runner.automaton, around=start, within=within, trace=trace, found=found,
         directions=directions,
-    )
+    )  # fmt: skip
     return part.graph()
 
 

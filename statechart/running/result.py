@@ -201,10 +201,8 @@ class Result:
         ({'floor': 'free'}, 0.804)
         """
         if not 0.0 <= t <= self.trace.t_end:
-            raise StatechartError(
-                f"t must be in the run, which is from 0 to {self.trace.t_end:.7g}, "
-                f"not {describe_value(t)}"
-            )
+            span = f"which is from 0 to {self.trace.t_end:.7g}"
+            raise StatechartError(f"t must be in the run, {span}, not {describe_value(t)}")
         found = self.observer.sample(self.trace, times=[t])
         states = dict(zip(self.trace.regions, found.modes[found.mode[0]], strict=True))
         values = {name: float(column[0]) for name, column in found.columns.items()}
@@ -240,9 +238,8 @@ class Result:
             If the run did not record modes.
         """
         if self.trace.record is not Record.MODES:
-            raise StatechartError(
-                "the run recorded no modes to draw: run it with record: modes, or --record modes"
-            )
+            advice = "run it with record: modes, or --record modes"
+            raise StatechartError(f"the run recorded no modes to draw: {advice}")
         from statechart.automaton.product import feasibility
         from statechart.diagram.build import build
         from statechart.diagram.write import write
@@ -280,10 +277,11 @@ class Result:
         progress : bool
             Whether to report progress to stderr.
         """
-        from statechart.reporting.film import AnimationOptions, animate
+        from statechart.reporting.film import animate
 
-        showing = AnimationOptions(speed, size, trail)
-        return animate(self.observer, self.trace, path, showing, progress=progress)
+        path, run = Path(path), (self.observer, self.trace)
+        animate(*run, path, speed=speed, size=size, trail=trail, progress=progress)
+        return path
 
     @check_arguments
     def report(self, path: Path | str, *, study: Measured | None = None) -> Path:
@@ -337,16 +335,12 @@ class Result:
         """Return the run as the JSON object of ``statechart run --json``."""
         from statechart.reporting.report import Computation, report
 
-        request, estimate = self.asked, self.error_estimate
-        computation = Computation(
-            estimate,
-            self.timings,
-            None if request is None else request.to_dict(estimate),
-            () if request is None else self.conditions,
-        )
-        return report(
-            self.observer, self.trace, computation, explain=explain, most=most, pieces=pieces
-        )
+        computation = Computation(self.error_estimate, self.timings)
+        if self.asked is not None:
+            request = self.asked.to_dict(self.error_estimate)
+            computation = computation._replace(request=request, conditions=self.conditions)
+        options: Any = {"explain": explain, "most": most, "pieces": pieces}
+        return report(self.observer, self.trace, computation, **options)
 
     @check_arguments
     def save(self, folder: Path | str, *, samples: bool | None = None) -> tuple[str, ...]:

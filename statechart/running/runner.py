@@ -179,10 +179,9 @@ class Runner:
         self, overrides: Mapping[str, float], end: float, *, certify: bool, throw: bool
     ) -> Result:
         if certify and self.setting.stepped:
-            raise DeclarationError(
-                "the engine impulse cannot certify: its steps follow no differential equation",
-                advice="leave certify out, or take the engine taylor or scipy",
-            )
+            message = "the engine impulse cannot certify: its steps follow no differential equation"
+            advice = "leave certify out, or take the engine taylor or scipy"
+            raise DeclarationError(message, advice=advice)
         planner = self._planner
         with self._turn, located(self.document, overrides):
             began = working_time()
@@ -190,9 +189,8 @@ class Runner:
             trace = planner.certified(found, overrides, end) if certify else found.trace
             setting, request = self.setting, None
             if planner.searching:
-                request = AccuracyRequest(
-                    setting, basis, found.cost, found.not_judged, found.decides
-                )
+                parts = found.cost, found.not_judged, found.decides
+                request = AccuracyRequest(setting, basis, *parts)
             warnings = (*filter(None, (planner.reason, *trace.warnings)), *found.warnings)
         trace = trace if warnings == trace.warnings else replace(trace, warnings=warnings)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
@@ -262,10 +260,8 @@ class Runner:
                 return other.stream(overrides, until=end, every=every, control=control)
             self._inputs.values(overrides)
             if setting.accuracy is not None or setting.budget is not None:
-                raise DeclarationError(
-                    "a stream is a single run; an accuracy or a budget needs several",
-                    advice="give a tolerance or a step instead",
-                )
+                message = "a stream is a single run; an accuracy or a budget needs several"
+                raise DeclarationError(message, advice="give a tolerance or a step instead")
             sampling = self._inputs.sampling(every, end, control)
             pieces = self.observers.fresh(setting).stream(overrides, sampling, until=end)
 
@@ -425,10 +421,9 @@ class RunInputs:
                     source=self.document.source if self.document else "",
                 )
             if not is_real(value):
-                raise DeclarationError(
-                    f"parameter {name!r} must be a number, not {describe_value(value)}",
-                    advice=f"a formula is for with_({name}=...) of the model",
-                )
+                message = f"parameter {name!r} must be a number, not {describe_value(value)}"
+                advice = f"a formula is for with_({name}=...) of the model"
+                raise DeclarationError(message, advice=advice)
             if math.isnan(value):
                 raise DeclarationError(f"parameter {name!r} must be a number, not nan")
 
@@ -451,42 +446,33 @@ class RunInputs:
         self.check(overrides)
         if until is not None:
             if not is_real(until) or not 0.0 <= until < math.inf:
-                raise DeclarationError(
-                    f"the end must be a finite time from 0 on, not {describe_value(until)}",
-                    advice=LATE_END if until == math.inf else "",
-                )
+                message = f"the end must be a finite time from 0 on, not {describe_value(until)}"
+                raise DeclarationError(message, advice=LATE_END if until == math.inf else "")
             return until
         with located(self.document, {} if self._end is None else overrides, ("stop", "time")):
             if self._end is None:
-                raise DeclarationProblem(
-                    "the run has no end",
-                    advice="write stop: {time: 10}, or --until T (in Python until=T)",
-                    loc=("stop",),
-                )
+                advice = "write stop: {time: 10}, or --until T (in Python until=T)"
+                raise DeclarationProblem("the run has no end", advice=advice, loc=("stop",))
             end = self._end.value(self.values(overrides) if self._end.names else {})
             if not 0.0 <= end < math.inf:
-                raise DeclarationProblem(
-                    f"must be a finite time, not {end:g}", loc=("stop", "time")
-                )
+                message = f"must be a finite time, not {end:g}"
+                raise DeclarationProblem(message, loc=("stop", "time"))
         return end
 
     def sampling(self, every: float, end: float, control: Control | None) -> Sampling:
         """Return the sampling of a stream; see `Runner.stream`."""
         if not is_real(every) or not every > 0.0 or (control is not None and every == math.inf):
-            raise DeclarationError(
-                f"every must be a finite time above 0, not {describe_value(every)}",
-                advice="give the sampling period of control, such as every=0.01",
-            )
+            message = f"every must be a finite time above 0, not {describe_value(every)}"
+            advice = "give the sampling period of control, such as every=0.01"
+            raise DeclarationError(message, advice=advice)
         if control is not None and not callable(control):
             raise DeclarationError(
                 f"control must be a function, not {control!r}",
                 advice="it takes a sample, and returns parameters and their values, or None",
             )
         if end + every == end > 0.0:
-            raise DeclarationError(
-                f"every must be above the round-off of time at {end:g}, not {every:g}",
-                advice="sample less often, or end the run earlier",
-            )
+            message = f"every must be above the round-off of time at {end:g}, not {every:g}"
+            raise DeclarationError(message, advice="sample less often, or end the run earlier")
         if control is None:
             return Sampling(every, None)
 

@@ -70,9 +70,8 @@ def figure(study: Measurements) -> Figure:
         if study.parted is None:
             for once in (False, True):
                 _front(times, study, once=once)
-            promises.axline(
-                (1e-6, 1e-6), slope=1.0, color=INK, linewidth=0.6, linestyle=(0, (1, 2))
-            )
+            dotted = (0, (1, 2))
+            promises.axline((1e-6, 1e-6), slope=1.0, color=INK, linewidth=0.6, linestyle=dotted)
             for ax in (times, works, promises):
                 ax.set_ylabel("relative error")
                 ax.set_yscale("log")
@@ -81,15 +80,10 @@ def figure(study: Measurements) -> Figure:
                     band = study.least / 10.0, study.least
                     ax.axhspan(*band, color=GRID, zorder=0, label=label)
         else:
+            look: Any = {"color": INK, "linewidth": 0.8, "linestyle": (0, (1, 2))}
             for ax in (times, works, promises):
                 ax.set_ylabel("time of leaving the reference")
-                ax.axhline(
-                    study.parted,
-                    color=INK,
-                    linewidth=0.8,
-                    linestyle=(0, (1, 2)),
-                    label="the check leaves it",
-                )
+                ax.axhline(study.parted, **look, label="the check leaves it")
         steps.set_ylabel("accepted steps")
         steps.set_yscale("log")
         steps.set_visible(bool(steps.lines))
@@ -198,34 +192,23 @@ def _draw(
     family: str = "",
 ) -> None:
     ax.plot(places, heights, color=line_style.colour, linewidth=0.8, alpha=0.6)
+    table = np.array([places, heights], dtype=float)
+    same_modes = np.array([point.same_modes for point in points])
     for same in (True, False):
-        chosen = [
-            (place, height)
-            for point, place, height in zip(points, places, heights, strict=True)
-            if point.same_modes is same and math.isfinite(place) and math.isfinite(height)
-        ]
-        if chosen:
-            ax.plot(
-                *zip(*chosen, strict=True),
-                line_style.marker,
-                markersize=5,
-                color=line_style.colour,
-                markerfacecolor=line_style.colour if same else "white",
-                label=family if same or not family else f"{family}, other modes",
-            )
+        chosen = table[:, (same_modes == same) & np.isfinite(table).all(axis=0)]
+        label = family if same or not family else f"{family}, other modes"
+        look: Any = {"color": line_style.colour, "markersize": 5, "label": label}
+        fill = line_style.colour if same else "white"
+        if chosen.size:
+            ax.plot(*chosen, line_style.marker, markerfacecolor=fill, **look)
 
 
 def _front(ax: Axes, study: Measurements, *, once: bool) -> None:
     front = study.front(once=once)
-    ax.step(
-        [point.cost(once=once) for point in front],
-        [_height(study, point) for point in front],
-        where="post",
-        color=INK,
-        linewidth=0.9,
-        linestyle=(0, (1, 1.5)) if once else (0, (3, 2)),
-        label="front, cold (dots)" if once else "front, warm",
-    )
+    costs, heights = [p.cost(once=once) for p in front], [_height(study, p) for p in front]
+    dashes, label = ((1, 1.5), "front, cold (dots)") if once else ((3, 2), "front, warm")
+    look: Any = {"color": INK, "linewidth": 0.9, "linestyle": (0, dashes), "label": label}
+    ax.step(costs, heights, where="post", **look)
 
 
 def _slope(ax: Axes, study: Measurements, slope: Slope, colour: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -76,12 +75,10 @@ class Errors(Record):
 
     def worse(self, other: Errors) -> Errors:
         """Return the larger errors of two runs; None if one of them has none."""
-        mine, its = self.model_dump(), other.model_dump()
-        found = {
-            name: None if its[name] is None or value is None else max(value, its[name])
-            for name, value in mine.items()
-            if name not in ("violations", "named")
-        }
+        found, its = self.model_dump(exclude={"violations", "named"}), other.model_dump()
+        for name, value in found.items():
+            both = value is not None and its[name] is not None
+            found[name] = max(value, its[name]) if both else None
         named = {k: max(v, other.named[k]) for k, v in self.named.items() if k in other.named}
         violated = {k: max(v, other.violations.get(k, v)) for k, v in self.violations.items()}
         return Errors(**found, named=named, violations=violated)
@@ -204,8 +201,7 @@ class Measurements(Record):
         least = math.inf
         points = filter(self.comparable, self.points)
         for point in sorted(points, key=lambda p: p.cost(once=once)):
-            error = self.error(point)
-            if error is not None and error < least:
+            if (error := self.error(point) or 0.0) < least:
                 least = error
                 found.append(point)
         return tuple(found)
@@ -227,14 +223,12 @@ class Measurements(Record):
 
     def missed(self) -> dict[str, tuple[int, int]]:
         """Return family -> (number of points with error above tolerance, number of points)."""
-        missed: Counter[str] = Counter()
-        known: Counter[str] = Counter()
+        found: dict[str, list[bool]] = {}
         for point in self.points:
             kept = self.meets_tolerance(point)
             if kept is not None:
-                known[point.setting.family] += 1
-                missed[point.setting.family] += not kept
-        return {family: (missed[family], count) for family, count in known.items()}
+                found.setdefault(point.setting.family, []).append(not kept)
+        return {family: (sum(missed), len(missed)) for family, missed in found.items()}
 
     def choose(self, requested: Setting, *, once: bool) -> Chosen | None:
         """Return the cheapest measured setting for an accuracy, or the most accurate for a budget.
@@ -242,34 +236,23 @@ class Measurements(Record):
         The resolution is added to the errors. A named engine or method excludes others. `once`: see
         `front`. None if no setting suffices.
         """
-        best: tuple[float, Point] | None = None
-        for point in self.points:
-            setting, error = point.setting, self.error(point)
-            if setting.tolerance is None or not self.comparable(point) or error is None:
+        able: list[tuple[float, float, Point]] = []
+        for point in filter(self.comparable, self.points):
+            setting, error = point.setting, (self.error(point) or 0.0) + self.least
+            if setting.tolerance is None or requested.method not in (None, setting.method):
                 continue
             if requested.engine not in (None, "auto", setting.engine):
                 continue
-            if requested.method not in (None, setting.method):
-                continue
-            if requested.accuracy is not None:
-                fits, rank = error + self.least <= requested.accuracy, point.cost(once=once)
-            else:
-                took = 2.0 * point.cost(once=once)
-                fits, rank = took <= (requested.budget or 0.0), error
-            if fits and (best is None or rank < best[0]):
-                best = (rank, point)
-        if best is None:
+            cost = point.cost(once=once)
+            if requested.accuracy is not None and error <= requested.accuracy:
+                able.append((cost, error, point))
+            elif requested.accuracy is None and 2.0 * cost <= (requested.budget or 0.0):
+                able.append((error, error, point))
+        if not able:
             return None
-        point = best[1]
-        return Chosen(
-            point.setting,
-            (self.error(point) or 0.0) + self.least,
-            point.outcome,
-            point.steps,
-            point.evaluations,
-            point.flows,
-            point.errors.decides,
-        )
+        _, error, point = min(able, key=lambda one: one[0])
+        counts = point.steps, point.evaluations, point.flows
+        return Chosen(point.setting, error, point.outcome, *counts, point.errors.decides)
 
 
 def fingerprint(model: Declaration) -> str:

@@ -120,9 +120,8 @@ class References:
         reference, check = found.reference, found.check
         setting, shift = reference.setting, Errors()
         if setting.step is None:
-            shifted = self._ended(
-                setting, Observers(with_doubled_tolerances(self.automaton)).at(setting)
-            )
+            doubled = Observers(with_doubled_tolerances(self.automaton))
+            shifted = self._ended(setting, doubled.at(setting))
             shift = self._compare_pair(reference, shifted).separation.errors
         study = Study(
             model=self.model.name,
@@ -145,14 +144,9 @@ class References:
         settings: tuple[Setting, ...] = _REFERENCES
         if self.automaton.stepper is not None:
             bodies = self.automaton.laws is None
-            settings += tuple(
-                Setting(
-                    engine="impulse",
-                    step=float(f"{self.until * part:.3g}"),
-                    impulse_tolerance=tolerance if bodies else None,
-                )
-                for part, tolerance in zip(_STEPS, _IMPULSES, strict=True)
-            )
+            for part, impulses in zip(_STEPS, _IMPULSES if bodies else (None, None), strict=True):
+                step = float(f"{self.until * part:.3g}")
+                settings += (Setting("impulse", step=step, impulse_tolerance=impulses),)
         methods: list[str | None] = []
         for setting in settings:
             if _method(setting) in methods and (setting.step is None or len(methods) > 1):
@@ -187,23 +181,15 @@ class References:
         pairs = [self._compare_pair(one, other) for one, other in combinations(runs, 2)]
         best = min(pairs, key=lambda pair: pair.closeness)
         third = next(run for run in runs if run not in (best.reference, best.check))
-        off = min(
-            (pair for pair in pairs if third in (pair.reference, pair.check)),
-            key=lambda pair: pair.closeness,
-        ).separation
+        others = (pair for pair in pairs if third in (pair.reference, pair.check))
+        off = min(others, key=lambda pair: pair.closeness).separation
         part, edge = _REACH * max(map(_tolerance, runs)), None
         odd = off.size > RESOLVED * best.separation.size
         if odd:
             perturbed = self._perturbed(best.reference, part)
             odd, edge = off.size > RESOLVED * perturbed.size, perturbed.parted
-        verdict = Third(
-            setting=third.setting.label,
-            parted=off.parted,
-            errors=off.errors,
-            odd=odd,
-            shift=part,
-            edge=edge,
-        )
+        found = {"setting": third.setting.label, "parted": off.parted, "errors": off.errors}
+        verdict = Third(**found, odd=odd, shift=part, edge=edge)
         if not odd and best.separation.parted is None:
             best = _Pair(best.reference, best.check, best.separation.worse(off))
         return best, verdict

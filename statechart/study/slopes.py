@@ -95,10 +95,8 @@ def reasons_without_slope(study: Measurements) -> dict[str, str]:
             elif of == "steps":
                 why = f"few runs have {_STEPS_PER_FLOW:g} steps a flow"
             else:
-                why = (
-                    f"too few runs have an error below {_SATURATED:g} and above the "
-                    f"resolution of the reference ({RESOLVED * study.least:.0e})"
-                )
+                least = f"the resolution of the reference ({RESOLVED * study.least:.0e})"
+                why = f"too few runs have an error below {_SATURATED:g} and above {least}"
             found[f"{of} of {family}"] = why
     return found
 
@@ -115,19 +113,16 @@ def _same(study: Measurements, family: str) -> list[Point]:
 
 def _grown(study: Measurements, family: str, of: Quantity) -> list[Point]:
     points = _same(study, family)
-    steps = [p.steps for p in points]
-    return points if points and max(steps) >= _GROWN[of] * min(steps) else []
+    steps = [point.steps for point in points] or [0]
+    return points if max(steps) >= _GROWN[of] * min(steps) else []
 
 
 def points_to_fit(study: Measurements, family: str, of: Quantity) -> list[tuple[float, float]]:
     """Return (fineness, error or steps) of the points of a fit."""
     points = _grown(study, family, of)
     if of == "steps":
-        return [
-            (p.setting.fineness, float(p.steps))
-            for p in points
-            if p.steps >= _STEPS_PER_FLOW * p.flows
-        ]
+        points = [p for p in points if p.steps >= _STEPS_PER_FLOW * p.flows]
+        return [(p.setting.fineness, float(p.steps)) for p in points]
     least = RESOLVED * max(study.least, float(np.finfo(float).eps))
     pairs = [(p.setting.fineness, study.error(p)) for p in points]
     return [(x, e) for x, e in pairs if e is not None and least < e < _SATURATED]
@@ -156,14 +151,11 @@ def distinct_warnings(study: Measurements) -> tuple[Note, ...]:
     for point in study.points:
         for text in new_warnings(point.warnings, ()):
             found.setdefault(_same_apart_from_numbers(text), []).append((text, point))
-    return tuple(
-        Note(
-            alike[0][0],
-            tuple(point.setting.label for _, point in alike),
-            len({text for text, _ in alike}) > 1,
-        )
-        for alike in found.values()
-    )
+    notes = []
+    for alike in found.values():
+        labels = tuple(point.setting.label for _, point in alike)
+        notes.append(Note(alike[0][0], labels, len({text for text, _ in alike}) > 1))
+    return tuple(notes)
 
 
 def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:

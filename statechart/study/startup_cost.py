@@ -10,7 +10,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import asdict
-from typing import IO
+from typing import IO, Any
 
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
@@ -53,9 +53,8 @@ class FreshProcess:
         """End the process if there is one."""
         process, self._process = self._process, None
         if process is not None:
-            if _COPIES:
-                # Including the running fork.
-                with suppress(ProcessLookupError):
+            with suppress(ProcessLookupError):
+                if _COPIES:  # including the running fork
                     os.killpg(process.pid, signal.SIGKILL)
             process.kill()
             for pipe in _pipes(process):
@@ -65,12 +64,10 @@ class FreshProcess:
 
     def _started(self) -> subprocess.Popen[bytes]:
         # Isolated from signals of this process and modules of the working directory.
+        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        command = [sys.executable, "-P", "-c", _SERVE]
         process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _SERVE],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
+            command, **pipes, stderr=subprocess.DEVNULL, start_new_session=True
         )
         pickle.dump(self._asked, _pipes(process)[1])
         return process

@@ -83,10 +83,8 @@ def load(folder: Path | str) -> Study | None:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(map(str, first["loc"])) or "the file"
-        raise DeclarationError(
-            f"{path} is not a study that this version can read: {where}: {first['msg']}",
-            advice="remove it, or name another folder",
-        ) from None
+        message = f"{path} is not a study that this version can read: {where}: {first['msg']}"
+        raise DeclarationError(message, advice="remove it, or name another folder") from None
 
 
 def save(folder: Path | str, study: Study) -> None:

@@ -49,18 +49,11 @@ def describe_study(study: Measurements) -> list[TextBlock]:
             shown = [study.error(point), *parts]
         else:
             shown = [point.parted, errors.energy]
-        rows.append(
-            (
-                point.setting.label + marks(point, front, cold),
-                _modes(point),
-                *(_format_number(x) for x in shown),
-                *(_format_number(errors.violations.get(name)) for name in kinds),
-                str(point.evaluations or ""),
-                str(point.steps),
-                _seconds(point.seconds),
-                "" if point.cold is None else _seconds(point.cold),
-            )
-        )
+        shown += map(errors.violations.get, kinds)
+        label = point.setting.label + marks(point, front, cold)
+        counts = str(point.evaluations or ""), str(point.steps)
+        times = _seconds(point.seconds), "" if point.cold is None else _seconds(point.cold)
+        rows.append((label, _modes(point), *map(_format_number, shown), *counts, *times))
     above = "".join(f"{line}\n" for line in _head(study)) + "\n"
     columns = [(head, *align_numbers(texts)) for head, *texts in zip(*rows, strict=True)]
     return [above, Table(list(zip(*columns, strict=True)), headed=True), _foot(study)]
@@ -73,44 +66,31 @@ def _head(study: Measurements) -> list[str]:
         f"reference: {study.reference}, checked by {study.check}",
     ]
     if study.parted is not None:
-        return [
-            *lines,
-            _divergence_lines(study),
-            "no error can be measured: the table shows when each setting leaves the reference",
-        ]
+        words = "no error can be measured: the table shows when each setting leaves the reference"
+        return [*lines, _divergence_lines(study), words]
     third, shift = study.third, study.shift.largest or 0.0
+    words = f"the two differ by {study.resolution.largest or 0.0:.2g}"
     if third is not None and third.odd:
         lines.append(_odd(third, study))
-    lines.append(
-        f"the two differ by {study.resolution.largest or 0.0:.2g}"
-        + (f", as {third.setting} from them" if third is not None and not third.odd else "")
-        + (
-            f", and the tolerance of forces changes the result by {shift:.2g}"
-            if shift > 0.0
-            else ""
-        )
-        + "; smaller errors cannot be measured"
-    )
-    return lines
+    elif third is not None:
+        words += f", as {third.setting} from them"
+    if shift > 0.0:
+        words += f", and the tolerance of forces changes the result by {shift:.2g}"
+    return [*lines, f"{words}; smaller errors cannot be measured"]
 
 
 def _odd(third: Third, study: Measurements) -> str:
     """Describe the difference of the odd run of three."""
     worst = third.errors.largest or 0.0
-    parts = [
-        f"{what.removeprefix('output ')} by {error:.2g}"
-        for what, error in third.errors.parts.items()
-        if error >= _MUCH * worst > 0.0
-    ]
+    large = {what: e for what, e in third.errors.parts.items() if e >= _MUCH * worst > 0.0}
+    parts = [f"{what.removeprefix('output ')} by {error:.2g}" for what, error in large.items()]
     when = "" if third.parted is None else f"leaves both at t = {third.parted:.6g}, and "
-    warned = new_warnings(
-        study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ())
-    )
+    known = study.warnings.get(study.reference, ())
+    warned = new_warnings(study.warnings.get(third.setting, ()), known)
     return (
         f"{third.setting} disagrees with both and is not used: it {when}is off in "
-        + (", ".join(parts) or "its modes")
-        + f", more than a start that is off by {third.shift:.0e} explains"
-        + "".join(f"; it warns: {text}" for text in warned)
+        f"{', '.join(parts) or 'its modes'}, more than a start that is off by {third.shift:.0e} "
+        "explains" + "".join(f"; it warns: {text}" for text in warned)
     )
 
 
@@ -118,11 +98,10 @@ def _divergence_lines(study: Measurements) -> str:
     """Describe the evidence that the motion is chaotic."""
     third, known = study.third, study.warnings.get(study.reference, ())
     own = new_warnings(study.warnings.get(study.check, ()), known)
-    why = "chaotic, or at a bifurcation" + (
-        ", or their steps are too long" if study.step > 0.0 else ""
-    )
+    why = "chaotic, or at a bifurcation"
+    why += ", or their steps are too long" if study.step > 0.0 else ""
     if own:
-        why = f"{study.check} warns: " + "; ".join(own)
+        why = f"{study.check} warns: {'; '.join(own)}"
     two = f"the two differ from t = {study.parted:.6g} on"
     if third is None:
         return f"{two}, and no run of another method shows which is right: {why}"
@@ -154,11 +133,9 @@ def _foot(study: Measurements) -> str:
     stepped = {p.setting.family for p in study.points if p.setting.stepped}
     for slope in slopes(study):
         fineness = "the step" if slope.family in stepped else "the tolerance"
-        lines.append(
-            f"{slope.of} of {slope.family}: {fineness} to the power {slope.slope:.3g} "
-            f"+- {slope.scatter:.1g} "
-            f"(theory {slope.theory:.3g}), {slope.points} points"
-        )
+        power = f"{slope.slope:.3g} +- {slope.scatter:.1g} (theory {slope.theory:.3g})"
+        words = f"{fineness} to the power {power}, {slope.points} points"
+        lines.append(f"{slope.of} of {slope.family}: {words}")
     why, listed = reasons(study), _listed_warnings(study)
     lines += [
         f"{family} deviates from the reference even at its finest: see {_footnote(texts, listed)}, "
@@ -169,21 +146,18 @@ def _foot(study: Measurements) -> str:
     if unsettled:
         off = ", ".join(f"{name} ({error:.2g})" for name, error in unsettled.items())
         kept = "stay off by that" if stepped & why.keys() else "do not converge with the step"
-        lines.append(
-            f"outputs that {kept}, no part of the errors above (at the shortest step): {off}"
-        )
+        words = "no part of the errors above (at the shortest step)"
+        lines.append(f"outputs that {kept}, {words}: {off}")
     lines += [f"no slope for {what}: {why}" for what, why in reasons_without_slope(study).items()]
     lines += [f"left out: {line}" for line in omitted(study)]
-    lines += [
-        f"warning {place}, of {_list_settings(study, note.settings)}: {note.text}"
-        + (f" (numbers of {note.settings[0]})" if note.differs else "")
-        for place, note in enumerate(listed, 1)
-    ]
+    for place, note in enumerate(listed, 1):
+        whose = f" (numbers of {note.settings[0]})" if note.differs else ""
+        settings = _list_settings(study, note.settings)
+        lines.append(f"warning {place}, of {settings}: {note.text}{whose}")
     more = len(distinct_warnings(study)) - len(listed)
     if more:
-        lines.append(
-            f"{pluralise(more, 'further warning')} {'is' if more == 1 else 'are'} in trade.json"
-        )
+        verb = "is" if more == 1 else "are"
+        lines.append(f"{pluralise(more, 'further warning')} {verb} in trade.json")
     lines += advice(study)
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
 
@@ -191,13 +165,8 @@ def _foot(study: Measurements) -> str:
 def advice(study: Measurements) -> list[str]:
     """Return a sentence on the cheapest setting for an accuracy, against another family."""
     for accuracy in _ADVISED:
-        able = [
-            point
-            for point in study.points
-            if point.same_modes
-            and (error := study.error(point)) is not None
-            and error + study.least <= accuracy
-        ]
+        comparable = filter(study.comparable, study.points)
+        able = [p for p in comparable if (study.error(p) or 0.0) + study.least <= accuracy]
         if not able:
             continue
         best = min(able, key=lambda point: point.seconds)
@@ -222,14 +191,12 @@ def omitted(study: Measurements) -> list[str]:
     for label, why in study.left_out.items():
         family, _, fineness = label.rpartition(" ")
         reasons.setdefault(why, {}).setdefault(family, []).append(fineness)
-    return [
-        ", ".join(
-            f"{family} {some[0]}" + (f" to {some[-1]}" if len(some) > 1 else "")
-            for family, some in families.items()
-        )
-        + f": {why}"
-        for why, families in reasons.items()
-    ]
+    lines = []
+    for why, families in reasons.items():
+        ends = {family: dict.fromkeys((some[0], some[-1])) for family, some in families.items()}
+        shown = (f"{family} {' to '.join(pair)}" for family, pair in ends.items())
+        lines.append(f"{', '.join(shown)}: {why}")
+    return lines
 
 
 def _listed_warnings(study: Measurements) -> list[Note]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import product
 from pathlib import Path
 
 from statechart.automaton.automaton import Automaton
@@ -53,17 +54,13 @@ def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
     steps = [float(f"{until * part:.3g}") for part in _STEPS]
     if automaton.laws is None:
         # Rigid-body systems, by time stepping only.
+        pairs = product(_IMPULSES, steps)
         return tuple(
-            Setting(engine="impulse", step=step, impulse_tolerance=tolerance)
-            for tolerance in _IMPULSES
-            for step in steps
+            Setting("impulse", step=h, impulse_tolerance=tolerance) for tolerance, h in pairs
         )
     settings = [Setting(engine="taylor", tolerance=tolerance) for tolerance in _TAYLOR]
-    settings += [
-        Setting(engine="scipy", method=method, tolerance=float(f"1e-{power}"))
-        for method, powers in _POWERS.items()
-        for power in powers
-    ]
+    for method, powers in _POWERS.items():
+        settings += [Setting("scipy", method, float(f"1e-{power}")) for power in powers]
     if automaton.stepper is not None:
         settings += [Setting(engine="impulse", step=step) for step in steps]
     settings += [Setting(engine="auto", accuracy=accuracy) for accuracy in _ACCURACIES]
@@ -96,10 +93,9 @@ class Bench:
 
     def measure(self, setting: Setting, reference: Run) -> Point:
         """Run a setting and compare it with the reference."""
-        step = setting.step
-        settings = (
-            [setting] if step is None else [replace(setting, step=part * step) for part in _PARTS]
-        )
+        step, settings = setting.step, [setting]
+        if step is not None:
+            settings = [replace(setting, step=part * step) for part in _PARTS]
         makers = [self.runner(one) for one in settings]
 
         def timed(make: Callable[[], RunEstimate]) -> tuple[RunEstimate, float]:
@@ -202,8 +198,6 @@ def trade(
     StatechartError
         If there is no reference, since no engine reaches the end.
     """
-    if settings is not None:
-        _check(settings)
     if folder is not None and (why := obstacle(Path(folder).absolute())):
         raise DeclarationError(f"{folder}: {why}", advice="name another folder")
     runner = model if isinstance(model, Runner) else Runner(model)
@@ -240,17 +234,6 @@ def trade(
             else:
                 made.take(point)
     return made.stored_study()
-
-
-def _check(settings: object) -> None:
-    """Check that these are settings, possibly none."""
-    several = settings if isinstance(settings, Sequence) else (settings,)
-    wrong = next((one for one in several if not isinstance(one, Setting)), None)
-    if wrong is not None or several is not settings:
-        raise DeclarationError(
-            f"settings must be a list of Setting, not {settings!r}",
-            advice="such as [Setting(tolerance=1e-6)]; by default those that the model can have",
-        )
 
 
 class _Trade:
@@ -294,13 +277,9 @@ class _Trade:
         self._points[point.setting] = point
         self._time(point)
         self.stored_study()
-        found = self._study.error(point)
-        self._say(
-            point.setting,
-            ("no error measured" if found is None else f"error {found:.2g}")
-            + ("" if point.same_modes else ", other modes")
-            + f", {point.seconds:.3g} s",
-        )
+        found, modes = self._study.error(point), "" if point.same_modes else ", other modes"
+        error = "no error measured" if found is None else f"error {found:.2g}"
+        self._say(point.setting, f"{error}{modes}, {point.seconds:.3g} s")
 
     def stored_study(self) -> Study:
         """Write the study to its folder, and return it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property, lru_cache, partial
@@ -100,28 +100,22 @@ class CellBlock:
     @classmethod
     def empty(cls, size: int, numbers: Iterable[str], lists: Iterable[str]) -> CellBlock:
         """Return a block of cells that have not run, with empty outcomes."""
+        unknown: Callable[[], Array] = partial(np.full, size, math.nan)
+        text: Callable[[], NDArray[np.object_]] = partial(np.full, size, "", dtype=object)
         return cls(
-            {name: np.full(size, math.nan) for name in numbers},
+            {name: unknown() for name in numbers},
             {name: [np.empty(0)] * size for name in lists},
-            np.full(size, "", dtype=object),
-            np.full(size, "", dtype=object),
-            np.zeros(size, dtype=bool),
-            np.full(size, -1, dtype=np.int32),
-            {},
-            np.full(size, math.nan),
-            np.full(size, math.nan),
-            np.full(size, math.nan),
-        )
+            text(), text(), np.zeros(size, dtype=bool), np.full(size, -1, dtype=np.int32), {},
+            unknown(), unknown(), unknown(),
+        )  # fmt: skip
 
 
 def run_block(task: Task, rows: Array) -> CellBlock:
     """Run cells in this process."""
     here = version("contact-statecharts")
     if task.version != here:
-        raise DeclarationError(
-            f"a worker has version {here} of contact-statecharts, not {task.version}",
-            advice="install the same version on all workers",
-        )
+        message = f"a worker has version {here} of contact-statecharts, not {task.version}"
+        raise DeclarationError(message, advice="install the same version on all workers")
     with _ONE_AT_A_TIME:
         return _cells(task).block(rows)
 
@@ -146,10 +140,9 @@ class _Cells:
     def block(self, rows: Array) -> CellBlock:
         """Run rows of values, ordered by the structure of the model."""
         found = CellBlock.empty(len(rows), self._numbers, self._lists)
-        structures = [tuple(values) for values in rows[:, self._whole].tolist()]
         groups: dict[tuple[float, ...], list[int]] = {}
-        for k, key in enumerate(structures):
-            groups.setdefault(key, []).append(k)
+        for k, values in enumerate(rows[:, self._whole].tolist()):
+            groups.setdefault(tuple(values), []).append(k)
         for key in sorted(groups):
             places = np.array(groups[key])
             while places.size:

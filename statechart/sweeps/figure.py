@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,7 @@ _COLOURS = (
     "#D55E00", "#882255", "#999933", "#AA4499", "#332288", "#117733",
 )  # fmt: skip
 _OTHERS, _NOTHING, _BLANK = "#BBBBBB", "#FFFFFF", "#E6E6E6"
+_FAILED: Any = {"hatch": "////", "facecolor": _NOTHING, "edgecolor": _OTHERS}
 # A second axis of at most _FEW values is drawn as lines if the first has _DENSER times as many.
 _FEW, _DENSER = 7, 3
 _WIDTH = 7.6  # inches
@@ -47,10 +49,8 @@ def check_drawable(plan: Plan) -> None:
     varied = _varied(plan)
     if len(varied) not in (1, 2):
         fewer = "vary fewer, or draw what -o FILE.nc keeps"
-        raise DeclarationError(
-            f"a picture shows one or two parameters, not {len(varied)}",
-            advice=fewer if varied else "give one several values",
-        )
+        message = f"a picture shows one or two parameters, not {len(varied)}"
+        raise DeclarationError(message, advice=fewer if varied else "give one several values")
 
 
 def _varied(plan: Plan) -> list[str]:
@@ -113,11 +113,8 @@ class _Cells:
             for label, colour in zip(self.labels, self.colours, strict=True)
         ]
         if (self.done & ~self.good).any():
-            found.append(
-                Patch(facecolor=_NOTHING, edgecolor=_OTHERS, hatch="////", label="failed")
-                if grid
-                else Line2D([], [], color=_OTHERS, marker="x", linestyle="", label="failed")
-            )
+            cross = Line2D([], [], color=_OTHERS, marker="x", linestyle="", label="failed")
+            found.append(Patch(**_FAILED, label="failed") if grid else cross)
         if blank or not self.done.all():
             found.append(Patch(facecolor=_BLANK, label="no value"))
         return found
@@ -188,10 +185,9 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     axes = drawing.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
     for ax, name in zip(axes[:, 0], plan.task.outputs, strict=False):
         values = data[plan.variables[name]].to_numpy()
-        for k, value in enumerate(np.unique(other)):
+        for value, colour in zip(np.unique(other), cycle(LINES), strict=False):
             chosen = np.flatnonzero((other == value) & cells.good)
             chosen = chosen[np.argsort(x.at[chosen], kind="stable")]
-            colour = LINES[k % len(LINES)]
             if name in plan.lists:
                 _points(ax, x.at[chosen], values.reshape(len(x.at), -1)[chosen], colour)
             else:
@@ -207,9 +203,10 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     else:
         from matplotlib.lines import Line2D
 
+        name = cells.names[1 - axis]
         handles = [
-            Line2D([], [], color=LINES[k % len(LINES)], label=f"{cells.names[1 - axis]} = {v:.4g}")
-            for k, v in enumerate(np.unique(other))
+            Line2D([], [], color=colour, label=f"{name} = {value:.4g}")
+            for value, colour in zip(np.unique(other), cycle(LINES), strict=False)
         ]
         drawing.legend(handles=handles, loc="outside right upper", handlelength=1.4)
     return set_title(drawing, plan.model.name)
@@ -229,15 +226,8 @@ def _points(ax: Axes, x: Array, lists: Array, colour: str) -> None:
     places = np.broadcast_to(x[:, None], lists.shape)
     known = np.isfinite(lists)
     size = float(np.clip(2e2 / np.sqrt(np.count_nonzero(known) + 1.0), 0.6, 4.0))
-    ax.plot(
-        places[known],
-        lists[known],
-        ".",
-        markersize=size,
-        color=colour,
-        markeredgewidth=0.0,
-        rasterized=True,
-    )
+    look: Any = {"markersize": size, "markeredgewidth": 0.0, "rasterized": True}
+    ax.plot(places[known], lists[known], ".", color=colour, **look)
 
 
 def _band(ax: Axes, x: _Axis, cells: _Cells) -> None:
@@ -248,9 +238,8 @@ def _band(ax: Axes, x: _Axis, cells: _Cells) -> None:
         alike = np.split(mine, np.flatnonzero(np.diff(mine) > 1) + 1) if len(mine) else []
         stretches = [(edges[k[0]], edges[k[-1] + 1] - edges[k[0]]) for k in alike]
         ax.broken_barh(stretches, (0.0, 1.0), facecolors=colour, linewidth=0.0)
-    failed = np.unique(places[cells.done & ~cells.good])
-    for k in failed:
-        ax.axvspan(edges[k], edges[k + 1], facecolor=_NOTHING, edgecolor=_OTHERS, hatch="////")
+    for k in np.unique(places[cells.done & ~cells.good]):
+        ax.axvspan(edges[k], edges[k + 1], **_FAILED)
     ax.set_ylim(0.0, 1.0)
     ax.set_yticks([0.5], ["modes"])
     ax.set_xlim(edges[0], edges[-1])
@@ -317,15 +306,8 @@ def _map(
     order = np.lexsort((x.at, y.at))
     bad = (cells.done & ~cells.good)[order].reshape(shape)
     if bad.any():
-        ax.pcolor(
-            x.edges(),
-            y.edges(),
-            np.where(bad, 0.0, math.nan),
-            hatch="////",
-            facecolor=_NOTHING,
-            edgecolor=_OTHERS,
-            linewidth=0.0,
-            cmap="Greys",
-        )
+        table = np.where(bad, 0.0, math.nan)
+        look: Any = {**_FAILED, "linewidth": 0.0, "cmap": "Greys"}
+        ax.pcolor(x.edges(), y.edges(), table, **look)
     table = values[order].reshape(shape)
     return ax.pcolormesh(x.edges(), y.edges(), table, rasterized=True, **options)

@@ -65,15 +65,12 @@ class Task:
         """Return a task; raise `DeclarationError` for an unknown output."""
         declared = model.outputs
         if isinstance(outputs, str):
-            raise DeclarationError(
-                f"outputs are a list of names, not the text {outputs!r}",
-                advice=f"write [{outputs!r}]",
-            )
+            message = f"outputs are a list of names, not the text {outputs!r}"
+            raise DeclarationError(message, advice=f"write [{outputs!r}]")
         for name in outputs or ():
             if name not in declared:
-                raise DeclarationError(
-                    f"the model has no output {name!r}", advice=close_matches(name, declared)
-                )
+                advice = close_matches(name, declared)
+                raise DeclarationError(f"the model has no output {name!r}", advice=advice)
         chosen = tuple(declared) if outputs is None else tuple(dict.fromkeys(outputs))
         here = version("contact-statecharts")
         return cls(pickle.dumps(model), setting, until, tuple(names), chosen, here)
@@ -112,15 +109,12 @@ class Plan:
         accurate: bool = False,
     ) -> None:
         if not columns:
-            raise DeclarationError(
-                "a sweep needs parameters to vary", advice="give names and values"
-            )
+            advice = "give names and values"
+            raise DeclarationError("a sweep needs parameters to vary", advice=advice)
         for name in columns:
             if name not in model.parameters:
-                raise DeclarationError(
-                    f"the model has no parameter {name!r}",
-                    advice=unknown_parameter(name, model.parameters),
-                )
+                advice = unknown_parameter(name, model.parameters)
+                raise DeclarationError(f"the model has no parameter {name!r}", advice=advice)
         self.model, self.grid, self.accurate = model, grid, accurate
         self.columns = {name: numbers(name, values) for name, values in columns.items()}
         self.task = Task.of(model, setting, until, tuple(columns), outputs)
@@ -128,17 +122,14 @@ class Plan:
         if grid:
             for name, column in self.columns.items():
                 if len(np.unique(column)) < len(column):
-                    raise DeclarationError(
-                        f"a value of {name} is given twice", advice="give every value once"
-                    )
+                    advice = "give every value once"
+                    raise DeclarationError(f"a value of {name} is given twice", advice=advice)
         elif len(set(lengths)) > 1:
             raise DeclarationError("the columns of a table of samples have one length")
         self.shape = lengths if grid else lengths[:1]
         if self.size > _MAX_CELLS:
-            raise DeclarationError(
-                f"a sweep has at most {_MAX_CELLS} cells, not {self.size}",
-                advice="give fewer values",
-            )
+            message = f"a sweep has at most {_MAX_CELLS} cells, not {self.size}"
+            raise DeclarationError(message, advice="give fewer values")
 
     @property
     def size(self) -> int:
@@ -155,12 +146,9 @@ class Plan:
     def variables(self) -> dict[str, str]:
         """Output -> name of its variable."""
         taken = {*_OWN, SAMPLE, *self.coordinates.values()}
-        return {
-            name: _claim_name(
-                name, taken, ("", "_count", "_index") if name in self.lists else ("",)
-            )
-            for name in self.task.outputs
-        }
+        suffixes = dict.fromkeys(self.lists, ("", "_count", "_index"))
+        outputs = self.task.outputs
+        return {name: _claim_name(name, taken, suffixes.get(name, ("",))) for name in outputs}
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -194,8 +182,8 @@ class Plan:
     def attributes(self) -> dict[str, str]:
         """Return the identity of this sweep as text and digest."""
         task = self.task
-        varied = ", ".join(
-            f"{name}: {len(column)} from {column.min():g} to {column.max():g}"
+        varied = "".join(
+            f", {name}: {len(column)} from {column.min():g} to {column.max():g}"
             for name, column in self.columns.items()
         )
         options = {key: value for key, value in asdict(task.setting).items() if value is not None}
@@ -205,7 +193,7 @@ class Plan:
             "model": self.model.name,
             "doc": self.model.doc,
             "version": task.version,
-            "swept": f"{'grid' if self.grid else 'table'}, {varied}",
+            "swept": f"{'grid' if self.grid else 'table'}{varied}",
             "asked": ", ".join(f"{key} {value}" for key, value in options.items()) or "nothing",
             "outputs": ", ".join(task.outputs),
         }
@@ -258,19 +246,15 @@ class Plan:
 
 def lists(model: Declaration, names: Sequence[str]) -> frozenset[str]:
     """Return the outputs that are lists of values at several events."""
-    declared = ((name, model.outputs[name]) for name in names)
-    return frozenset(
-        name for name, output in declared if isinstance(output, Value) and output.moment.several
-    )
+    values = ((name, one) for name in names if isinstance(one := model.outputs[name], Value))
+    return frozenset(name for name, output in values if output.moment.several)
 
 
 def columns_of(samples: pd.DataFrame) -> dict[str, Array]:
     """Return the columns of a table of samples."""
     if not hasattr(samples, "columns"):
-        raise DeclarationError(
-            f"samples are a table, not of type {type(samples).__name__}",
-            advice="write pandas.DataFrame({'NAME': [...]})",
-        )
+        message = f"samples are a table, not of type {type(samples).__name__}"
+        raise DeclarationError(message, advice="write pandas.DataFrame({'NAME': [...]})")
     names = [str(name) for name in samples.columns]
     if len(set(names)) < len(names):
         raise DeclarationError("two columns of the samples have one name", advice="remove one")

@@ -52,15 +52,12 @@ def cells(
     """Return the grid or the table of samples of a command line; None for the other."""
     if table is not None:
         if over:
-            raise DeclarationError(
-                "--samples and --over exclude each other", advice="the table has all parameters"
-            )
+            advice = "the table has all parameters"
+            raise DeclarationError("--samples and --over exclude each other", advice=advice)
         return None, read_table(table)
     if not over:
-        raise DeclarationError(
-            "a sweep needs parameters to vary",
-            advice="such as --over mu=log:0.03:100:50, or --samples TABLE.csv",
-        )
+        advice = "such as --over mu=log:0.03:100:50, or --samples TABLE.csv"
+        raise DeclarationError("a sweep needs parameters to vary", advice=advice)
     if sobol is not None:
         return None, sobol_sequence(over, sobol)
     return {name: values(name, text) for name, text in over.items()}, None
@@ -96,10 +93,8 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
     if count > _MAX_NUMBERS:
         raise DeclarationError(f"--sobol {count}: at most {_MAX_NUMBERS} points can be drawn")
     if count != 1 << power:
-        raise DeclarationError(
-            f"--sobol {count}: a Sobol sequence is balanced for powers of two only",
-            advice=f"take {1 << power} or {1 << (power + 1)}",
-        )
+        message = f"--sobol {count}: a Sobol sequence is balanced for powers of two only"
+        raise DeclarationError(message, advice=f"take {1 << power} or {1 << (power + 1)}")
     intervals = {}
     for name, text in over.items():
         spacing, *words = text.split(":")
@@ -119,10 +114,8 @@ def read_table(path: Path | str) -> pd.DataFrame:
     raw = read_bounded(Path(path), _MAX_BYTES, "name a CSV file")
     cells = raw.count(b",") + max(raw.count(b"\n"), raw.count(b"\r"))
     if len(raw) > _MAX_BYTES or cells > _MAX_NUMBERS:
-        raise DeclarationError(
-            f"{path}: more than {_MAX_NUMBERS} numbers, or {_MAX_BYTES // 10**6} MB",
-            advice="sweep over one part of the table at a time",
-        )
+        message = f"{path}: more than {_MAX_NUMBERS} numbers, or {_MAX_BYTES // 10**6} MB"
+        raise DeclarationError(message, advice="sweep over one part of the table at a time")
     width = raw.partition(b"\n")[0].count(b",") + 1
     if width > MAX_VALUES:
         raise DeclarationError(
@@ -136,10 +129,8 @@ def read_table(path: Path | str) -> pd.DataFrame:
             io.BytesIO(raw), dtype=str, header=None, keep_default_na=False, skipinitialspace=True
         )
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise DeclarationError(
-            f"{path} is no table: {str(error).strip()}",
-            advice="its first line names parameters, every other has their values",
-        ) from None
+        advice = "its first line names parameters, every other has their values"
+        raise DeclarationError(f"{path} is no table: {str(error).strip()}", advice=advice) from None
     names = [str(name).strip() for name in found.iloc[0]]
     if len(set(names)) < len(names):
         raise DeclarationError(f"{path}: two columns have one name", advice="remove one")
@@ -149,10 +140,9 @@ def read_table(path: Path | str) -> pd.DataFrame:
             try:
                 columns[name].append(_number_in_range(name, str(word)))
             except DeclarationError as error:
-                raise DeclarationError(
-                    f"{path}, row {row}: {error.message}",
-                    advice="write numbers or formulas such as 1/3, with commas between them",
-                ) from None
+                message = f"{path}, row {row}: {error.message}"
+                advice = "write numbers or formulas such as 1/3, with commas between them"
+                raise DeclarationError(message, advice=advice) from None
     return pd.DataFrame(columns)
 
 
@@ -179,9 +169,8 @@ def _interval(name: str, spacing: str, first: str, last: str) -> Interval:
     if least > greatest:
         raise _wrong(name, f"{least:g} is above {greatest:g}", "the least value comes first")
     if spacing == "log" and least <= 0.0:
-        raise _wrong(
-            name, f"{least:g} has no logarithm", "take a positive end, or lin: in the place of log:"
-        )
+        advice = "take a positive end, or lin: in the place of log:"
+        raise _wrong(name, f"{least:g} has no logarithm", advice)
     return Interval(spacing, least, greatest)
 
 

@@ -45,7 +45,6 @@ _LOCK = ".lock"
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
 _ALL_CHUNKS = {"array.write_empty_chunks": True}
 
-
 _Kind = tuple[Any, Any]
 """Type of an array, and its fill value."""
 _NUMBER, _TEXT, _FLAG, _CODE, _COUNT = (
@@ -83,10 +82,9 @@ def lock_folder(path: Path) -> Iterator[Callable[[], None]]:
             try:
                 lock.acquire(timeout=0)
             except Timeout:
-                raise DeclarationError(
-                    f"another process is writing {path}",
-                    advice="wait until it has ended, or name another store",
-                ) from None
+                message = f"another process is writing {path}"
+                advice = "wait until it has ended, or name another store"
+                raise DeclarationError(message, advice=advice) from None
             except OSError as error:
                 if error.errno not in _NO_LOCKS:
                     raise
@@ -101,9 +99,8 @@ def lock_folder(path: Path) -> Iterator[Callable[[], None]]:
 
         def check() -> None:
             if not is_there():
-                raise StatechartError(
-                    f"{path} was removed while it was written; begin the sweep anew"
-                )
+                message = f"{path} was removed while it was written; begin the sweep anew"
+                raise StatechartError(message)
 
         try:
             yield check
@@ -241,18 +238,15 @@ class Store:
         if path.is_dir() and all(p.match(_PARTIAL) or p.name == _LOCK for p in path.iterdir()):
             return self._remake(path)
         if not resume and path.is_dir():
-            raise DeclarationError(
-                f"{path} exists already",
-                advice="continue it with --resume (resume=True), or name another store",
-            )
+            advice = "continue it with --resume (resume=True), or name another store"
+            raise DeclarationError(f"{path} exists already", advice=advice)
         try:
             group = zarr.open_group(path, mode="r+", use_consolidated=False)
         except PermissionError:
             raise
         except Exception:  # zarr raises various errors for other folders
-            raise DeclarationError(
-                f"{path} is no sweep store", advice="name another, or remove it"
-            ) from None
+            advice = "name another, or remove it"
+            raise DeclarationError(f"{path} is no sweep store", advice=advice) from None
         self._check(group)
         for part in path.rglob(_PARTIAL):  # of a killed process
             part.unlink()
@@ -305,19 +299,16 @@ class Store:
     def _check(self, group: zarr.Group) -> None:
         found, mine = dict(group.attrs), self._plan.attributes()
         if found.get("format") != mine["format"]:
-            raise DeclarationError(
-                f"{self._path} is no sweep store of this version",
-                advice="name another, or remove it",
-            )
+            advice = "name another, or remove it"
+            raise DeclarationError(f"{self._path} is no sweep store of this version", advice=advice)
         if found.get("digest") == mine["digest"]:
             return
         changed = [key for key, value in mine.items() if found.get(key) != value]
         differs = [key for key in changed if key != "digest"]
-        raise DeclarationError(
-            f"{self._path} holds another sweep; it differs in "
-            + (" and ".join(differs) or "its model, which was changed"),
-            advice="repeat what made it, or name another store",
+        message = f"{self._path} holds another sweep; it differs in " + (
+            " and ".join(differs) or "its model, which was changed"
         )
+        raise DeclarationError(message, advice="repeat what made it, or name another store")
 
     def _remake(self, path: Path) -> zarr.Group:
         """Empty a folder except for its lock, and create the group in it."""
@@ -342,10 +333,8 @@ class Store:
     @property
     def _single(self) -> list[str]:
         """The variables of one value per cell, the outcome last."""
-        return [
-            *(self._plan.variables[name] for name in self._plan.numbers),
-            *_sweep_variables(self._plan),
-        ]
+        plan = self._plan
+        return [*map(plan.variables.__getitem__, plan.numbers), *_sweep_variables(plan)]
 
     def _columns(self, block: CellBlock) -> dict[str, NDArray[Any]]:
         """Return variables of one value per cell -> their values (n,), the outcome last."""
@@ -421,9 +410,8 @@ class Store:
             raise self._damaged(name) from None
 
     def _damaged(self, name: str, words: str = "cannot be read") -> DeclarationError:
-        return DeclarationError(
-            f"{self._path} is damaged: {name} {words}", advice="remove it, and begin the sweep anew"
-        )
+        advice = "remove it, and begin the sweep anew"
+        return DeclarationError(f"{self._path} is damaged: {name} {words}", advice=advice)
 
 
 def _sweep_variables(plan: Plan) -> list[str]:
@@ -433,11 +421,8 @@ def _sweep_variables(plan: Plan) -> list[str]:
 
 def _missing_chunk(root: Path, array: zarr.Array[Any], where: Slices) -> str:
     """Return the file of the first missing chunk of a part of an array, or an empty string."""
-    spans = (
-        range(part.start // size, -(-part.stop // size))
-        for part, size in zip(where, array.chunks, strict=True)
-    )
-    for place in product(*spans):
+    pairs = zip(where, array.chunks, strict=True)
+    for place in product(*(range(s.start // size, -(-s.stop // size)) for s, size in pairs)):
         file = f"{array.path}/{array.metadata.encode_chunk_key(place)}"
         if not (root / file).exists():
             return file
@@ -451,14 +436,9 @@ def create(group: zarr.Group, plan: Plan) -> None:
         name: str, kind: _Kind, shape: Any, chunks: Any, dims: Any, attributes: Mapping[str, str]
     ) -> zarr.Array[Any]:
         return group.create_array(
-            name,
-            shape=shape,
-            chunks=chunks,
-            dtype=kind[0],
-            fill_value=kind[1],
-            dimension_names=dims,
-            attributes=dict(attributes),
-        )
+            name, shape=shape, chunks=chunks, dtype=kind[0], fill_value=kind[1],
+            dimension_names=dims, attributes=dict(attributes),
+        )  # fmt: skip
 
     for name, column in plan.columns.items():
         attributes = {**plan.named(name), "declared": str(plan.model.parameters[name])}

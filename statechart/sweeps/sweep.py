@@ -148,10 +148,8 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a sweep; see `sweep` for the parameters."""
     if over is None and samples is None:
-        raise DeclarationError(
-            "a sweep needs values of parameters",
-            advice="such as over={'mu': [0.1, 0.2, 0.3]}, or samples=a table",
-        )
+        advice = "such as over={'mu': [0.1, 0.2, 0.3]}, or samples=a table"
+        raise DeclarationError("a sweep needs values of parameters", advice=advice)
     if over is not None and samples is not None:
         raise DeclarationError("give either ranges (over) or samples, not both")
     if over is not None and not isinstance(over, Mapping):
@@ -163,15 +161,11 @@ def make_plan(
     if until is not None or runner.model.stop.time is None:
         runner.end(until=until)
     columns = over if samples is None else columns_of(samples)
+    accurate = runner.setting.accuracy is not None
     return Plan(
-        runner.model,
-        setting,
-        columns or {},
-        grid=samples is None,
-        until=until,
-        outputs=outputs,
-        accurate=runner.setting.accuracy is not None,
-    )
+        runner.model, setting, columns or {}, grid=samples is None, until=until,
+        outputs=outputs, accurate=accurate,
+    )  # fmt: skip
 
 
 def run_plan(
@@ -186,9 +180,8 @@ def run_plan(
     if resume and store is None:
         raise DeclarationError("there is no store to resume", advice="give its path")
     if executor is not None and not hasattr(executor, "submit"):
-        raise DeclarationError(
-            f"executor must be an executor, such as ProcessPoolExecutor(4), not {executor!r}"
-        )
+        message = f"executor must be an executor, such as ProcessPoolExecutor(4), not {executor!r}"
+        raise DeclarationError(message)
     with nullcontext(lambda: None) if store is None else lock_folder(Path(store)) as check_lock:
         kept = Store(plan, store, resume=resume, check_lock=check_lock)
         left = kept.undone_count
@@ -252,19 +245,15 @@ def _ended(work: _Work, executor: Executor | None) -> str:
         return INTERRUPTED
     except _WorkersFailed as lost:
         if not work.done:
-            raise lost.error from None
-        return str(lost.error)
+            raise lost.args[0] from None
+        return str(lost)
     finally:
         work.write()
     return ""
 
 
 class _WorkersFailed(Exception):  # noqa: N818, said of the workers
-    """The workers failed."""
-
-    def __init__(self, error: StatechartError) -> None:
-        super().__init__(str(error))
-        self.error = error
+    """The workers failed; the argument is the error."""
 
 
 @dataclass
@@ -370,12 +359,9 @@ def _hand_out(work: _Work, executor: Executor) -> None:
     except (KeyboardInterrupt, StatechartError, MemoryError):
         raise
     except ImportError as error:
-        raise _WorkersFailed(
-            DeclarationError(
-                f"a worker cannot load what the sweep needs: {error}",
-                advice="install this package, in this version, on all workers",
-            )
-        ) from None
+        message = f"a worker cannot load what the sweep needs: {error}"
+        advice = "install this package, in this version, on all workers"
+        raise _WorkersFailed(DeclarationError(message, advice=advice)) from None
     except (BrokenExecutor, CancelledError) as error:
         words = str(error).strip().rstrip(".") or "the connection to them was lost"
         advice = "" if work.done else guard_advice(error)

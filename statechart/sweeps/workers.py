@@ -45,10 +45,8 @@ def processes(count: int) -> Iterator[Executor]:
     """Start worker processes, which end with this one."""
     here = os.cpu_count() or 1
     if count > _MAX_PROCESSES * here:
-        raise DeclarationError(
-            f"{count} workers are too many for {here} processors",
-            advice=f"write --workers {here}, or take more machines with --scheduler",
-        )
+        advice = f"write --workers {here}, or take more machines with --scheduler"
+        raise DeclarationError(f"{count} workers are too many for {here} processors", advice=advice)
     # Not forked, since threads of libraries do not survive that.
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())
@@ -86,10 +84,9 @@ def cluster(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client
     except ImportError:
-        raise DeclarationError(
-            "a cluster needs Dask, which is not installed",
-            advice="install it with: pip install 'distributed>=2024.8'",
-        ) from None
+        message = "a cluster needs Dask, which is not installed"
+        advice = "install it with: pip install 'distributed>=2024.8'"
+        raise DeclarationError(message, advice=advice) from None
     # A Dask client without a scheduler would retry, and log errors when deleted.
     try:
         kind = asyncio.run(asyncio.wait_for(_identity(address), _SCHEDULER_TIMEOUT))
@@ -137,10 +134,9 @@ class ClusterWatch:
 
         if not isinstance(self._client, Client):
             return
+        client = self._client
         with suppress(OSError):  # its scheduler does not answer
-            if self._client.sync(
-                self._client.scheduler.ncores, callback_timeout=_SCHEDULER_TIMEOUT
-            ):
+            if client.sync(client.scheduler.ncores, callback_timeout=_SCHEDULER_TIMEOUT):
                 self._last_seen = self._last_check
         if self._last_check - self._last_seen > _PATIENCE:
             raise BrokenExecutor(f"the cluster has had none for {_PATIENCE:g} s")
@@ -155,10 +151,9 @@ async def _identity(address: str) -> str:
 
 
 def _silence(address: str, words: str) -> DeclarationError:
-    return DeclarationError(
-        f"no scheduler answers at {address}: " + words.strip().split("\n")[0],
-        advice="start one with `dask scheduler`; it prints its address, tcp://HOST:8786",
-    )
+    message = f"no scheduler answers at {address}: " + words.strip().split("\n")[0]
+    advice = "start one with `dask scheduler`; it prints its address, tcp://HOST:8786"
+    return DeclarationError(message, advice=advice)
 
 
 def _check(client: object, address: str) -> None:
@@ -167,23 +162,18 @@ def _check(client: object, address: str) -> None:
 
     assert isinstance(client, Client)
     if not client.nthreads():
-        raise DeclarationError(
-            f"the scheduler at {address} has no workers",
-            advice=f"start some with `dask worker {address} --nthreads 1`",
-        )
+        advice = f"start some with `dask worker {address} --nthreads 1`"
+        raise DeclarationError(f"the scheduler at {address} has no workers", advice=advice)
     try:
         found = client.run(version, _NAME)
     except PackageNotFoundError:
-        raise DeclarationError(
-            f"a worker of {address} does not have {_NAME}", advice="install it on all workers"
-        ) from None
+        message = f"a worker of {address} does not have {_NAME}"
+        raise DeclarationError(message, advice="install it on all workers") from None
     here = version(_NAME)
     for worker, there in found.items():
         if there != here:
-            raise DeclarationError(
-                f"the worker {worker} has version {there} of {_NAME}, not {here}",
-                advice="install the same version on all workers",
-            )
+            message = f"the worker {worker} has version {there} of {_NAME}, not {here}"
+            raise DeclarationError(message, advice="install the same version on all workers")
 
 
 @contextmanager

@@ -126,9 +126,8 @@ def _compare(
     traces = (reference,) if reading else (reference, other)
     # The gap tolerance of time stepping is penetration, not a projection.
     kinds = [("speed",) if t.step is not None else ("gap", "speed") for t in traces]
-    floor[1:] = sum(
-        t.tolerances.get(kind, 0.0) for t, of in zip(traces, kinds, strict=True) for kind in of
-    )
+    pairs = [(trace, kind) for trace, own in zip(traces, kinds, strict=True) for kind in own]
+    floor[1:] = sum(trace.tolerances.get(kind, 0.0) for trace, kind in pairs)
     for i, (mine, its) in enumerate(zip_longest(first, second)):
         if mine and its:
             error = bare + rounded[mine.jump.j]
@@ -150,9 +149,8 @@ def _compare(
     if any(len(events) != len(first) for events in near):
         raise Undecidable(f"the end: {_ANOTHER_COURSE}")
     if runs[0].final_mode != runs[-1].final_mode:
-        raise AssertionError(
-            f"{runs[0].final_mode} at the end of one run, {runs[-1].final_mode} of the other"
-        )
+        message = f"{runs[0].final_mode} at the end of one run, {runs[-1].final_mode} of the other"
+        raise AssertionError(message)
     last, *others = (_end(run) for run in runs)
     allowed = _allowed(last, [one.numbers for one in others[: len(near)]], scales, error, floor)
     _assert_close(last.numbers, others[-1].numbers, allowed, reference, "the end")
@@ -228,15 +226,12 @@ def _raise_undecidable_hit(
     for events in (first, second):
         for one, two in pairwise(events[i : i + 2]):
             if two.jump.t - one.jump.t <= instant:
-                raise Undecidable(
-                    f"{_event_label(i, one)}: impacts closer than {instant:.1e} in time are a "
-                    "single one in one of the runs"
-                )
+                words = f"impacts closer than {instant:.1e} in time"
+                place = _event_label(i, one)
+                raise Undecidable(f"{place}: {words} are a single one in one of the runs")
     n = len(scales) // 2
-    both = [events[i].numbers for events in (first, second)]
-    if all(
-        (np.abs(at[n + 1 :] - at[1 : n + 1]) <= _SLOW_IMPACT * scales[n + 1 :]).all() for at in both
-    ):
+    both = np.array([events[i].numbers for events in (first, second)])
+    if (np.abs(both[:, n + 1 :] - both[:, 1 : n + 1]) <= _SLOW_IMPACT * scales[n + 1 :]).all():
         raise Undecidable(
             f"{_event_label(i, first[i])}: the impact is so slow that round-off decides "
             "which of the contacts that move together is hit first"
@@ -292,12 +287,9 @@ def _raise_difference(
         )
     if not all(trace.certified or trace.step is not None for trace in traces):
         raise Undecidable(f"{place}: a guard could not be decided")
-    shown = [
-        f"{e[0].jump.region} {e[0].jump.cause} to {' '.join(e[0].jump.target)}"
-        if e
-        else "nothing more"
-        for e in (own, others)
-    ]
+    shown = ["nothing more", "nothing more"]
+    for k, event in ((k, e[0].jump) for k, e in enumerate((own, others)) if e):
+        shown[k] = f"{event.region} {event.cause} to {' '.join(event.target)}"
     raise AssertionError(f"{place}: {shown[0]} in one run, {shown[1]} in the other")
 
 

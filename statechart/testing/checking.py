@@ -124,9 +124,8 @@ class CheckReport:
             f"varied: {varied or 'nothing'}\n"
         )
         rows = [("property", "examples", "verdict")]
-        rows += [
-            (r.name, "" if r.skipped else str(r.examples), _verdict(r)) for r in self.properties
-        ]
+        for r in self.properties:
+            rows.append((r.name, "" if r.skipped else str(r.examples), _verdict(r)))
         parts: list[list[TextBlock]] = [[head], [Table(rows, headed=True)]]
         failed = [(r.name, r.failure) for r in self.properties if r.failure is not None]
         for name, failure in failed:
@@ -217,9 +216,8 @@ def examine(
         if progress is not None:
             progress(item.name)
         results.append(_tested(subject, item, examples, seed))
-    return CheckReport(
-        subject.model.name, seed, subject.engines, ranges(subject.model), tuple(results)
-    )
+    model = subject.model
+    return CheckReport(model.name, seed, subject.engines, ranges(model), tuple(results))
 
 
 @dataclass(eq=False)
@@ -261,11 +259,9 @@ def _tested(subject: Subject, item: Property, examples: int, seed: int) -> Prope
         except (DeclarationError, DeclarationProblem) as error:
             if not subject.model.ranges:
                 hypothesis.reject()
-            record.failing = (
-                choice,
-                f"the ranges contain values that make no valid model: {_located(error)}",
-            )
-            raise AssertionError(record.failing[1]) from None
+            words = f"the ranges contain values that make no valid model: {_located(error)}"
+            record.failing = choice, words
+            raise AssertionError(words) from None
         except AssertionError as error:
             record.failing = choice, str(error)
             raise
@@ -277,15 +273,12 @@ def _tested(subject: Subject, item: Property, examples: int, seed: int) -> Prope
     except AssertionError:
         assert record.failing is not None
     except hypothesis.errors.Unsatisfiable:
-        return PropertyReport(
-            item.name, skipped="no tried values of the parameters make a valid model"
-        )
-    failure = None
-    if record.failing is not None:
-        failure = _failure(subject.model, item, *record.failing)
-    return PropertyReport(
-        item.name, len(record.tested), len(record.undecidable), record.reason, failure=failure
-    )
+        skipped = "no tried values of the parameters make a valid model"
+        return PropertyReport(item.name, skipped=skipped)
+    failed = record.failing
+    failure = None if failed is None else _failure(subject.model, item, *failed)
+    counts = len(record.tested), len(record.undecidable)
+    return PropertyReport(item.name, *counts, record.reason, failure=failure)
 
 
 def _hold(case: Case, item: Property) -> None:

@@ -89,16 +89,12 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
         found = extremes_along(observer, trace, arc, [margin.expression for margin in margins])
         for margin, less, least in zip(margins, allowed, found[:, 0].tolist(), strict=True):
             if least < -less:
-                begins, ends = arc.start.high, arc.start.high + arc.duration
-                raise AssertionError(
-                    f"{margin.name} falls to {least:.6g} between t = {begins:.6g} and "
-                    f"{ends:.6g} in {subject.automaton.label(arc.mode)}"
-                )
+                place = _span(subject.automaton, arc)
+                raise AssertionError(f"{margin.name} falls to {least:.6g} {place}")
     automaton, flowed = subject.automaton, {arc.j for arc in trace.arcs}
+    jumps = {jump.j: jump for jump in (*trace.jumps[:1], *instantaneous_modes(trace))}
     for invariant in automaton.invariants:
-        for jump in {
-            jump.j: jump for jump in (*trace.jumps[:1], *instantaneous_modes(trace))
-        }.values():
+        for jump in jumps.values():
             for before in (True, False):
                 margin = invariant.margin(automaton.active(jump.source if before else jump.target))
                 lasts = (jump.j if before else jump.j + 1) in flowed
@@ -116,11 +112,13 @@ def _invariants(subject: Subject, arc: Arc) -> list[Margin]:
     margins = [one.margin(active) for one in invariants_of(automaton, arc.mode)]
     for margin in margins:
         if margin.expression == -sp.oo:
-            raise AssertionError(
-                f"{margin.name} does not hold from t = {arc.start.high:.6g} to "
-                f"{arc.start.high + arc.duration:.6g} in {automaton.label(arc.mode)}"
-            )
+            raise AssertionError(f"{margin.name} does not hold {_span(automaton, arc)}")
     return [margin for margin in margins if margin.expression != sp.oo]
+
+
+def _span(automaton: Automaton, arc: Arc) -> str:
+    begin, end = arc.start.high, arc.start.high + arc.duration
+    return f"between t = {begin:.6g} and {end:.6g} in {automaton.label(arc.mode)}"
 
 
 def _assert_at(
@@ -130,8 +128,9 @@ def _assert_at(
     expression = margin.expression
     mode = observer.automaton.label(jump.source if before else jump.target)
     mode += "" if lasts else ", which lasts no time"
+    place = f"at t = {jump.t:.6g} in {mode}"
     if expression == -sp.oo:
-        raise AssertionError(f"{margin.name} does not hold at t = {jump.t:.6g} in {mode}")
+        raise AssertionError(f"{margin.name} does not hold {place}")
     if expression == sp.oo:
         return
     value = observer.at(trace, (expression,), [jump], before=before).item()
@@ -143,9 +142,8 @@ def _assert_at(
         variation = replace(jump, before=changed, after=changed)
         allowed += abs(observer.at(trace, (expression,), [variation], before=before).item() - value)
     if value < -allowed:
-        raise AssertionError(
-            f"the margin of {margin.name!r} is {value:.6g} at t = {jump.t:.6g} in {mode}"
-        )
+        message = f"the margin of {margin.name!r} is {value:.6g} at t = {jump.t:.6g} in {mode}"
+        raise AssertionError(message)
 
 
 def _assert_margins(
@@ -174,13 +172,15 @@ def _assert_margins(
     if not holds.all():
         short = np.where(holds, np.inf, values + allowed)
         m, k = np.unravel_index(int(np.argmin(short)), values.shape)
-        raise AssertionError(
-            f"the margin of {margins[int(k)].name!r} is {values[m, k]:.6g} at "
-            f"t = {arc.start.high + (arc.start.low + tau[m]):.6g} in "
-            f"{subject.automaton.label(arc.mode)}"
-        )
-    found: Array = allowed.max(axis=0, initial=0.0)
-    return found
+        found = f"the margin of {margins[int(k)].name!r} is {values[m, k]:.6g}"
+        raise AssertionError(f"{found} {_instant(subject.automaton, arc, tau[m])}")
+    largest: Array = allowed.max(axis=0, initial=0.0)
+    return largest
+
+
+def _instant(automaton: Automaton, arc: Arc, tau: float) -> str:
+    time = arc.start.high + (arc.start.low + tau)
+    return f"at t = {time:.6g} in {automaton.label(arc.mode)}"
 
 
 def _variation(trace: Trace) -> Array:
@@ -245,18 +245,14 @@ def _assert_claims(
         for claim in claims(subject, arc):
             wrong = judge.unexplained(claim, arc, tau)
             if wrong.size:
-                time = arc.start.high + (arc.start.low + wrong.item(0))
-                raise AssertionError(
-                    f"{claim.name} {'does not hold' if claim.holds else 'holds'} at t = "
-                    f"{time:.6g} in {subject.automaton.label(arc.mode)}: "
-                    f"{' and '.join(claim.relations)}"
-                )
+                words = f"{claim.name} {'does not hold' if claim.holds else 'holds'}"
+                place = _instant(subject.automaton, arc, wrong.item(0))
+                raise AssertionError(f"{words} {place}: {' and '.join(claim.relations)}")
 
 
 def _claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
-    for region, state, role in zip(
-        subject.automaton.regions, arc.mode, region_roles(arc.roles), strict=True
-    ):
+    states = zip(subject.automaton.regions, arc.mode, region_roles(arc.roles), strict=True)
+    for region, state, role in states:
         if role.state != HELD:
             yield from region.claims(state)
     for name, text in subject.model.stop.conditions.items():

@@ -63,9 +63,8 @@ def assert_ended(case: Case) -> None:
     """
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
-            raise AssertionError(
-                f"run ended: {trace.outcome.name} ({trace.engine}): {trace.message}"
-            )
+            message = f"run ended: {trace.outcome.name} ({trace.engine}): {trace.message}"
+            raise AssertionError(message)
 
 
 def assert_start(case: Case) -> None:
@@ -86,11 +85,9 @@ def assert_start(case: Case) -> None:
         off[np.isin(trace.variables, [*_entry_updates(case.subject.automaton, trace)])] = 0.0
         worst = int(np.argmax(off))
         if off[worst] > _START * size + projection:
-            raise AssertionError(
-                f"{trace.engine}: {trace.variables[worst]} starts at "
-                f"{trace.initial[worst]:.7g}, declared is {declared[worst]:.7g} "
-                f"(difference {off[worst]:.2g})"
-            )
+            name, start, wanted = (x[worst] for x in (trace.variables, trace.initial, declared))
+            words = f"{name} starts at {start:.7g}, declared is {wanted:.7g}"
+            raise AssertionError(f"{trace.engine}: {words} (difference {off[worst]:.2g})")
 
 
 def _entry_updates(automaton: Automaton, trace: Trace) -> Iterator[str]:
@@ -140,9 +137,9 @@ def _assert_same_steps(trace: Trace, shorter: Trace) -> None:
     """Check that the steps of a run are bitwise the first of another."""
     for ours, theirs in zip(shorter.jumps, trace.jumps, strict=False):
         place = f"jump {ours.j} at t = {ours.t:.7g} ({ours.region} {ours.cause})"
-        assert (ours.t, ours.source, ours.target) == (theirs.t, theirs.source, theirs.target), (
-            f"{place}: a longer run has {theirs.region} {theirs.cause} at t = {theirs.t:.7g}"
-        )
+        other = f"a longer run has {theirs.region} {theirs.cause} at t = {theirs.t:.7g}"
+        same = (ours.t, ours.source, ours.target) == (theirs.t, theirs.source, theirs.target)
+        assert same, f"{place}: {other}"
         assert (ours.after == theirs.after).all(), f"{place}: a longer run has another state"
     steps = [np.concatenate([arc.coefficients for arc in one.arcs]) for one in (shorter, trace)]
     same = np.all(steps[0] == steps[1][: len(steps[0])], axis=(1, 2))
@@ -172,7 +169,8 @@ def generic(subject: Subject) -> tuple[Property, ...]:
     """
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
     of_states = any(region.build(Role(state)).invariants for region, state in states)
-    no_invariants = not (of_states or subject.automaton.invariants)
+    declared = of_states or subject.automaton.invariants
+    undeclared = "" if declared else "no invariants are declared"
     alone = "; ".join(f"{name}: {reason}" for name, reason in subject.missing.items())
     stepped = ""
     if subject.step is not None:
@@ -182,17 +180,10 @@ def generic(subject: Subject) -> tuple[Property, ...]:
         Property("runs come to their end", assert_ended),
         Property("runs start as declared", assert_start),
         Property("events are ordered in time", each(lambda _, trace: assert_ordered(trace))),
-        Property(
-            "every jump is an edge",
-            each(lambda subject, trace: assert_edges(subject.automaton, trace)),
-        ),
+        Property("every jump is an edge", each(lambda one, run: assert_edges(one.automaton, run))),
         Property("arcs are continuous", each(lambda _, trace: assert_continuous(trace))),
         Property("no guard is passed", each(assert_margins), skipped=stepped),
-        Property(
-            "declared invariants hold",
-            each(assert_invariants),
-            skipped="no invariants are declared" if no_invariants else "",
-        ),
+        Property("declared invariants hold", each(assert_invariants), skipped=undeclared),
         Property("relations hold where modes say so", each(assert_relations), skipped=stepped),
         Property("engines agree", assert_engines_agree, skipped=alone),
         Property("a shorter run is the beginning of a longer one", assert_prefix),
@@ -225,9 +216,8 @@ def assert_ordered(trace: Trace) -> None:
         assert end >= start, f"{place} ends before it begins, at t = {end:.7g}"
         assert of == j, f"{place} comes after {pluralise(j, 'jump')}"
         t, j = end, of + (what == 2)
-    assert abs(t - trace.t_end) <= allowed, (
-        f"the run ends {trace.t_end - t:.3g} after its parts, at t = {trace.t_end:.7g}"
-    )
+    words = f"the run ends {trace.t_end - t:.3g} after its parts, at t = {trace.t_end:.7g}"
+    assert abs(t - trace.t_end) <= allowed, words
 
 
 def assert_edges(automaton: Automaton, trace: Trace) -> None:
@@ -291,10 +281,8 @@ def _join(trace: Trace, before: Array, after: Array, t: float, allowed: Array) -
     off = np.abs(after - before)
     if not (off <= allowed).all():
         step, variable = np.unravel_index(int(np.argmax(off / (allowed + 1e-300))), off.shape)
-        raise AssertionError(
-            f"{trace.variables[variable]} changes by {off[step, variable]:.3g} without a jump "
-            f"in the arc from t = {t:.7g}"
-        )
+        change = f"{trace.variables[variable]} changes by {off[step, variable]:.3g}"
+        raise AssertionError(f"{change} without a jump in the arc from t = {t:.7g}")
 
 
 def largest_projection(trace: Trace) -> float:

@@ -111,22 +111,14 @@ class Subject:
     def finer(self) -> Subject | None:
         """The subject with impulse residuals well below `NUDGE`, if its own may be larger."""
         settings = self.model.settings
-        if (
-            self.step is None
-            or (settings.impulse_tolerance or DEFAULT_IMPULSES.tolerance) <= _FINER_TOLERANCE
-        ):
+        tolerance = settings.impulse_tolerance or DEFAULT_IMPULSES.tolerance
+        if self.step is None or tolerance <= _FINER_TOLERANCE:
             return None
         chosen = replace_fields(settings, impulse_tolerance=_FINER_TOLERANCE)
         return Subject(replace_fields(self.model, settings=chosen))
 
     def end(self, parameters: Mapping[str, float]) -> float:
-        """Return the end time of a run.
-
-        Raises
-        ------
-        DeclarationError
-            If the model has none.
-        """
+        """Return the end time of a run; raise `DeclarationError` if the model has none."""
         if self.model.stop.time is None:
             raise DeclarationError("the run has no end", advice="write stop: {time: 10}")
         return parse(self.model.stop.time).value(self.model.values(parameters))
@@ -145,12 +137,7 @@ class Subject:
         expressions: Sequence[sp.Expr],
         states: Array | None = None,
     ) -> Array:
-        """Evaluate expressions with unknowns at local times (m,) of an arc, or in `states` (m, n).
-
-        Returns
-        -------
-        (m, f) array
-        """
+        """Return the values (m, f) of expressions at local times (m,) of an arc, or in `states`."""
         times = arc.start.high + (arc.start.low + tau)
         states, known = arc.states(tau) if states is None else states, arc.unknowns(tau)
         mode = self.mode(trace, arc) if known is None else None
@@ -161,12 +148,7 @@ class Subject:
     def values(
         self, trace: Trace, expressions: Sequence[sp.Expr], states: Array, times: Array
     ) -> Array:
-        """Evaluate expressions in variables, parameters and time, in states (m, n) at times (m,).
-
-        Returns
-        -------
-        (m, f) array
-        """
+        """Return the values (m, f) of expressions without unknowns in states (m, n)."""
         return self._programs.tape(tuple(expressions), None).table(states, trace.values, times)
 
 
@@ -216,13 +198,7 @@ class Case:
 
     @property
     def sound(self) -> tuple[Trace, ...]:
-        """The runs, if all are complete.
-
-        Raises
-        ------
-        Undecidable
-            If one is not; `assert_ended` reports it.
-        """
+        """The runs; raises `Undecidable` if one is not complete, which `assert_ended` reports."""
         for trace in self.traces.values():
             if not trace.outcome.succeeded:
                 raise Undecidable("a run did not come to its end")
@@ -231,20 +207,16 @@ class Case:
     @cached_property
     def sensitivity(self) -> Sensitivity:
         """Runs with parameters (except counts) perturbed by `NUDGE`, and conditions of events."""
-        values = self.subject.model.values(self.parameters)
-        names = [
-            name
-            for name, text in self.subject.model.parameters.items()
-            if (name in self.parameters or not parse(text).names)
-            and name not in self.subject.model.whole
-        ]
+        model = self.subject.model
+        values = model.values(self.parameters)
+        plain = {name for name, text in model.parameters.items() if not parse(text).names}
+        varied = (plain | {*self.parameters}) - model.whole
+        names = [name for name in model.parameters if name in varied]
         found = []
         for signs in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)):
-            changed = {
-                name: values[name] * (1.0 + NUDGE * signs[i % 2])
-                for i, name in enumerate(names)
-                if math.isfinite(values[name])
-            }
+            nudges = {name: 1.0 + NUDGE * signs[i % 2] for i, name in enumerate(names)}
+            finite = (name for name in names if math.isfinite(values[name]))
+            changed = {name: values[name] * nudges[name] for name in finite}
             try:
                 trace = self._run(self.engine, changed)
             except (DeclarationError, DeclarationProblem):
@@ -253,11 +225,10 @@ class Case:
                 found.append(trace)
         if not found:
             raise Undecidable("no run with slightly changed parameters comes to its end")
-        trace = self.trace
-        if trace.step is not None:  # events are not located
+        if self.trace.step is not None:  # events are not located
             return Sensitivity(found, ())
         observer = self.subject.observers[self.engine]
-        return Sensitivity(found, conditions(observer, trace))
+        return Sensitivity(found, conditions(observer, self.trace))
 
     def shorter(self, until: float) -> Trace:
         """Return the run of the most accurate engine up to `until`."""
@@ -266,10 +237,8 @@ class Case:
 
     def loosened(self, relative: float) -> Trace:
         """Return the run of the most accurate engine with modes chosen at tolerance `relative`."""
-        subject = self.subject
-        return self._uninterrupted(
-            subject.loosened(relative), self.parameters, subject.end(self.parameters)
-        )
+        end = self.subject.end(self.parameters)
+        return self._uninterrupted(self.subject.loosened(relative), self.parameters, end)
 
     def _uninterrupted(
         self,
@@ -324,10 +293,9 @@ def _valid_towards(model: Declaration, name: str, value: float, end: float) -> f
     for halvings in range(8):
         candidate = value + (end - value) * 0.5**halvings
         try:
-            changed = {**model.parameters, name: candidate}
-            type(model).model_validate(
-                {**model.model_dump(by_alias=True), "parameters": changed}, by_alias=True
-            )
+            changed = {"parameters": {**model.parameters, name: candidate}}
+            data = model.model_dump(by_alias=True) | changed
+            type(model).model_validate(data, by_alias=True)
         except ValidationError:
             continue
         return candidate

@@ -207,11 +207,11 @@ def test_invariant_margin_counts_only_its_states(invariant, least, engine):
     [
         ("RUN", "not in(gate.open) or x <= -0.5", ""),
         ("RUN", "not in(gate.open) or x <= -1", "the margin of 'i' is -0."),
-        ("RUN", "not in(gate.fast)", "i does not hold from t = 1.8"),
+        ("RUN", "not in(gate.fast)", "i does not hold between t = 1.8"),
         ("RUN", "count != 1", "i does not hold at t = 1"),
         ("STATE", "not in(gate.open) or x <= -0.5", ""),
         ("STATE", "not in(gate.open) or x <= -1", "the margin of 'm.i' is -0."),
-        ("STATE", "not in(gate.open)", "m.i does not hold from t = 1.5"),
+        ("STATE", "not in(gate.open)", "m.i does not hold between t = 1.5"),
     ],
 )
 def test_check_evaluates_invariants_in_their_states(where, invariant, message):

@@ -293,22 +293,6 @@ def test_similar_names_have_different_identifiers():
     assert "state" not in every
 
 
-@pytest.mark.parametrize(
-    ("nodes", "links", "path", "message"),
-    [
-        ((Node("a", "a"), Node("a", "b")), (), (), "two states called 'a'"),
-        ((Node("a", "a"),), (Link("a", "z", "", "", ""),), (), "refers to 'z'"),
-        ((Node("a", "a"),), (), ("y",), "refers to 'y'"),
-        ((Node("a", "", initial=True), Node("b", "", initial=True)), (), (), "initial"),
-        ((Node("a", "a", "z"),), (), (), "refers to 'z'"),
-        ((Node("a", "a", "b"), Node("b", "b", "a")), (), (), "'a' encloses itself"),
-    ],
-)
-def test_inconsistent_diagram_is_refused(nodes, links, path, message):
-    with pytest.raises(StatechartError, match=message):
-        single("d", nodes, links, (), path)
-
-
 MAGIC = {
     ".svg": b"<?xml",
     ".png": b"\x89PNG\r\n\x1a\n",

@@ -307,10 +307,6 @@ def test_a_type_error_inside_a_call_is_not_changed() -> None:
         ),
         (lambda result: result.diagram(3), "Result.diagram: path must be a path, not 3"),
         (
-            lambda result: trade(result.observer.automaton.declaration, settings=["x"]),
-            "settings must be a list of Setting, not ['x']; such as [Setting(tolerance=1e-6)]",
-        ),
-        (
             lambda result: check(result.observer.automaton.declaration, examples="3"),
             "examples must be a whole number from 1 on, not '3'",
         ),

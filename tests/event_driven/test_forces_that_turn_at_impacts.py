@@ -65,4 +65,11 @@ def test_a_lift_that_jumps_where_a_slide_starts_is_seen_or_reported() -> None:
     text = text.replace("FORCE", '[0, "20*sign(b.x - T)"]').replace("time: 1.5", "time: 0.5")
     assert run(read_text(text)).trace.final == pytest.approx([1.5, 1.25, 1, 5], rel=1e-12)
     result = run(read_text(text), engine="scipy", throw=False)
-    assert result.trace.message.endswith("take the engine taylor, or a state for each side")
+    advice = "a sign jumps there: take the engine taylor, or write a state for each side"
+    assert result.trace.message.endswith(advice)
+
+
+def test_a_position_at_which_a_force_jumps_beyond_friction_is_reported() -> None:
+    text = FALLING.replace("START", "0").replace("FORCE", '["9*sign(b.x)", 0]')
+    result = run(read_text(text), engine="taylor", throw=False)
+    assert result.trace.message.endswith("a sign jumps there: write a state for each side")

@@ -252,3 +252,77 @@ def test_a_peg_takes_over_the_rope_of_a_pendulum_at_once(engine, peg, swing):
     quarter = ellipk(math.sin(swing / 2) ** 2) / 9.81**0.5
     assert outputs["caught"] == pytest.approx(quarter, abs=1e-11)
     assert outputs["taut"] == pytest.approx(outputs["caught"], abs=1e-12)
+
+
+@STEPS
+def test_a_point_that_stops_at_the_foot_of_a_wall_has_no_warning(step):
+    # Down a slope, against a wall that ends at its foot.
+    text = """
+kind: scene
+name: foot
+gravity: 9.81
+bodies: {p: {mass: 1, start: {x: -0.5*cos(0.4), y: 0.5*sin(0.4)}}}
+surfaces: {slope: {edge: [[-cos(0.4), sin(0.4)], [0, 0]]}, wall: {edge: [[0, 0], [0, 1]]}}
+contacts:
+  on_slope: {point: {body: p}, surface: slope, friction: 0, restitution: 0}
+  on_wall: {point: {body: p}, surface: wall, friction: 0, restitution: 0}
+stop: {time: 1}
+outputs: {hits: {value: time, at: first on_wall.touchdown}}
+"""
+    options = {} if step is None else {"engine": "impulse", "step": step}
+    result = Runner(interpret(read_text(text)), **options).run()
+    assert not result.warnings
+    # 1/2 g sin(a) t^2 = 1/2
+    fall = 1.0 / math.sqrt(9.81 * math.sin(0.4))
+    assert result.outputs["hits"] == pytest.approx(fall, abs=1e-12 if step is None else step)
+    assert result.trace.final[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(("up", "falls"), [(True, False), (False, True)])
+def test_a_warning_names_a_corner_through_which_a_point_may_fall(up, falls):
+    # Off the tip of a tooth upwards, or to the bottom of a groove where both sides end.
+    slope, beyond = (0.4, -3.0) if up else (-0.4, 0.4)
+    conditions = "p.x <= 0", f"p.x >= 0 and p.y {'<= 0' if up else '>= 1e-6'}"
+    text = f"""
+kind: scene
+name: corner
+gravity: 9.81
+bodies: {{p: {{mass: 1, start: {{x: -0.5, y: {-0.5 * slope}, dx: 3, dy: {3 * slope}}}}}}}
+surfaces: {{a: {{height: {slope}*x}}, b: {{height: {beyond}*x}}}}
+contacts:
+  on_a: {{point: {{body: p}}, surface: a, friction: 0, restitution: 0, enabled: "{conditions[0]}"}}
+  on_b: {{point: {{body: p}}, surface: b, friction: 0, restitution: 0, enabled: "{conditions[1]}"}}
+stop: {{time: 0.5}}
+"""
+    result = Runner(interpret(read_text(text))).run()
+    assert any("may fall through" in warning for warning in result.warnings) == falls
+
+
+def test_a_pin_leaves_the_open_end_of_a_slot_without_a_warning():
+    # A Geneva drive: the pin turns the wheel by a quarter, and leaves its slot tangentially.
+    text = """
+kind: scene
+name: geneva
+parameters: {w: 2, d: sqrt(2), q: -pi/4 - 0.5}
+bodies:
+  pin: {mass: 0.01, start: {x: d - cos(q), y: sin(q), dx: w*sin(q), dy: w*cos(q)}}
+  wheel: {mass: 1, inertia: 0.3, start: {angle: -pi/4}}
+joints:
+  drive: {point: {body: pin}, to: [d - cos(q + w*time), sin(q + w*time)]}
+  axle: {point: {body: wheel}, to: [0, 0]}
+surfaces:
+  up: {edge: [[0.2, 0], [1, 0]], body: wheel}
+  low: {edge: [[1, 0], [0.2, 0]], body: wheel}
+contacts:
+  a: {point: {body: pin}, surface: up, friction: 0, restitution: 0}
+  b: {point: {body: pin}, surface: low, friction: 0, restitution: 0}
+stop: {time: 1.6}
+outputs: {left: {value: time, at: last a.disable or b.disable}, fastest: {maximum: wheel.dangle}}
+"""
+    result = Runner(interpret(read_text(text))).run()
+    assert not any("may fall through" in warning for warning in result.warnings)
+    final = dict(zip(result.trace.variables, result.trace.final.tolist(), strict=True))
+    assert final["wheel.angle"] == pytest.approx(math.pi / 4, abs=1e-12)
+    assert final["wheel.dangle"] == pytest.approx(0.0, abs=1e-12)
+    assert result.outputs["left"] == pytest.approx(0.25 + math.pi / 4, abs=1e-12)
+    assert result.outputs["fastest"] == pytest.approx(2.0 / (math.sqrt(2) - 1.0), abs=1e-9)

@@ -223,14 +223,51 @@ def test_a_light_ball_on_a_heavy_one_rebounds_at_the_closed_form_speed() -> None
 
 
 def test_endless_sequences_are_reported() -> None:
-    # A bar that falls flat without rebound rattles from end to end for ever.
-    snapshot = body([(-1.0, 0.0), (1.0, 0.0)], [0.0, -1.0, 0.0])
+    # A bar that lands almost flat without rebound rattles from end to end for ever.
+    snapshot = body([(-1.0, 0.0), (1.0, 0.0)], [0.0, -1.0, 0.1])
     result = impacts(snapshot, [law(0.0), law(0.0, name="B")], [True, True], "sequential")
     assert "does not end" in result.warning
     assert result.path[-1] == "plastic rest"
     assert len(result.path) > 20
     assert result.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
-    assert result.impulses[:, 0] == pytest.approx([0.5, 0.5], abs=1e-14)
+    assert result.impulses[:, 0].sum() == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
+def test_equal_approaches_are_one_impact_of_a_sequence(e: float) -> None:
+    # A ball falls to the bottom of a symmetric groove: no side comes first.
+    a = 0.4
+    walls = [[[math.sin(a), math.cos(a)], [math.cos(a), -math.sin(a)]]]
+    walls.append([[-math.sin(a), math.cos(a)], [math.cos(a), math.sin(a)]])
+    snapshot = scene([1.0, 1.0], walls, [0.0, -1.0])
+    result = impacts(snapshot, [law(0.0, e), law(0.0, e, "B")], [True, True], "sequential")
+    assert result.velocity == pytest.approx([0.0, e], abs=1e-15)
+    assert result.impulses[:, 0] == pytest.approx([0.5 * (1.0 + e) / math.cos(a)] * 2, rel=1e-14)
+
+
+def test_a_symmetric_rack_breaks_symmetrically() -> None:
+    # Both ends are struck: with unequal masses the middle one must stay at rest.
+    speeds = [1.0, 0.0, 0.0, 0.0, -1.0]
+    laws, closed = balls(5, 1.0), [True] * 4
+    result = impacts(row([1.0, 2.0, 3.0, 2.0, 1.0], speeds), laws, closed, "sequential")
+    assert result.velocity == pytest.approx(-result.velocity[::-1], abs=1e-15)
+    assert result.velocity[2] == 0.0
+
+
+@pytest.mark.parametrize(("e", "noted"), [(0.4, False), (0.5, True)])
+def test_a_note_says_where_another_order_would_give_other_velocities(e: float, noted: bool) -> None:
+    snapshot, closed = row([1.0] * 3, [1.0, 0.0, 0.0]), [True, True]
+    laws = [one._replace(pair=i) for i, one in enumerate(balls(3, e))]
+    notes = impacts(snapshot, laws, closed, "capped").notes
+    assert [note.startswith("gap0, gap1 are struck at once") for note in notes] == [True] * noted
+    assert not impacts(snapshot, laws, closed, "sequential").notes
+    assert not impacts(snapshot, laws, closed, "plastic").notes
+    # Two points of the same bodies have no order, nor have impacts that do not affect each other.
+    same = [one._replace(pair=0) for one in laws]
+    assert not impacts(snapshot, same, closed, "capped").notes
+    apart = row([1.0] * 4, [1.0, 0.0, 1.0, 0.0])
+    laws = [one._replace(pair=i) for i, one in enumerate(balls(4, e))]
+    assert not impacts(apart, laws, [True, False, True], "capped").notes
 
 
 # --- which contacts belong together
@@ -566,7 +603,8 @@ def test_impact_laws_that_raise_the_energy_give_a_warning(law: str, contacts: in
         reported = f"the impact law '{law}' raised the energy" in "".join(trace.warnings)
         assert reported is (after > before * (1.0 + 1e-9))
         raised += reported
-    assert raised == (4 if law == "newton" else 0)
+    # Two contacts at one point approach alike: Moreau's law, which never raises the energy.
+    assert raised == (4 if law == "newton" and contacts == 1 else 0)
 
 
 def test_a_rope_that_an_impact_loads_by_round_off_is_no_endless_sequence() -> None:

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from scipy.special import ellipk
 
 import statechart
 from statechart.documents.yaml_reader import read_text
@@ -427,3 +428,55 @@ stop: {time: 2}
 """
     result = statechart.run(interpret(read_text(text)), engine=engine)
     assert len(result.trace.jumps) + len(reported(result)) == 1
+
+
+_TANGENT = """
+kind: scene
+name: tangent
+parameters: {a: pi/4, p: 0.6}
+gravity: 9.81
+"""
+_TRACK = """
+bodies: {b: {mass: 1, start: {x: -sin(a) - cos(a), y: 1 - cos(a) + sin(a)}}}
+surfaces:
+  ramp: {line: [[-sin(a) - cos(a), 1 - cos(a) + sin(a)], [-sin(a), 1 - cos(a)]]}
+  arc: {circle: [0, 1], radius: 1, hollow: true}
+  flat: {height: 0}
+contacts:
+  r: {point: {body: b}, surface: ramp, friction: 0, restitution: 0, enabled: b.x < -sin(a)}
+  c:
+    point: {body: b}
+    surface: arc
+    friction: 0
+    restitution: 0
+    enabled: b.x >= -sin(a) and b.x < 0
+  f: {point: {body: b}, surface: flat, friction: 0, restitution: 0, enabled: b.x >= 0}
+stop: {time: 1}
+outputs: {over: {value: time, at: first r.disable}, lowest: {minimum: b.y}, v: {value: b.dx}}
+"""
+_PEG = """
+bodies: {b: {mass: 1, start: {x: -sin(a), y: -cos(a)}}}
+joints:
+  o: {point: {body: b}, to: [0, 0], rope: 1, enabled: b.x < 0}
+  q: {point: {body: b}, to: [0, -p], rope: 1 - p, enabled: b.x >= 0}
+stop: {time: 0.8}
+outputs: {over: {value: time, at: first o.disable}, lowest: {minimum: b.y}, tension: {maximum: q.V}}
+"""
+
+
+def test_a_handover_between_tangent_constraints_is_decided(engine: str) -> None:
+    # Errors of a point on its ramp, or on its circle, are along it: they only delay the handover.
+    result = statechart.run(interpret(read_text(_TANGENT + _TRACK)), engine=engine)
+    assert not any("off fires" in warning for warning in result.warnings)
+    g, drop = 9.81, 1.0 - math.cos(math.pi / 4) + math.sin(math.pi / 4)
+    assert result.outputs["over"] == pytest.approx(math.sqrt(2 / (g * math.sin(math.pi / 4))))
+    assert result.outputs["v"] == pytest.approx(math.sqrt(2 * g * drop), abs=1e-9)
+    assert result.outputs["lowest"] == pytest.approx(0.0, abs=1e-9)
+    # Galileo's pendulum swings on about a peg.
+    result = statechart.run(interpret(read_text(_TANGENT + _PEG)), engine=engine)
+    assert not any("off fires" in warning for warning in result.warnings)
+    quarter = ellipk(math.sin(math.pi / 8) ** 2) / math.sqrt(g)
+    assert result.outputs["over"] == pytest.approx(quarter, abs=1e-9)
+    assert result.outputs["lowest"] == pytest.approx(-1.0, abs=1e-9)
+    pull = g + 2 * g * (1.0 - math.cos(math.pi / 4)) / 0.4
+    assert result.outputs["tension"] == pytest.approx(pull, abs=1e-7)

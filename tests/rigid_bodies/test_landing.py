@@ -139,3 +139,28 @@ stop: {{time: 1}}
         struck = [jump for jump in trace.jumps if jump.t > 0.0 and "b" in jump.impulse]
         assert len(struck) == 1, step
         assert not any(jump.cause == "liftoff" for jump in trace.jumps)
+
+
+@pytest.mark.parametrize(("step", "rocks"), [(2e-5, True), (1e-4, True), (1e-3, False)])
+def test_a_box_that_lands_nearly_flat_rocks_where_steps_part_its_corners(step, rocks):
+    """Plastic impacts at one corner, then at the other 0.27 ms later; in one step they stop it."""
+    a, b, tilt, speed = 0.1, 0.2, 1e-3, 1.0
+    text = f"""
+kind: scene
+name: box
+bodies:
+  box:
+    mass: 1
+    inertia: {(a * a + b * b) / 3!r}
+    shape: {{polygon: [[-{a}, -{b}], [{a}, -{b}], [{a}, {b}], [-{a}, {b}]]}}
+    start: {{y: {b * math.cos(tilt) + a * math.sin(tilt) + 0.0103!r}, angle: {tilt}, dy: {-speed}}}
+surfaces: {{ground: {{height: 0}}}}
+collisions: {{all: {{bodies: [box], surfaces: [ground], friction: 0, restitution: 0}}}}
+stop: {{time: 0.02}}
+settings: {{engine: impulse, step: {step}}}
+"""
+    _, dy, turn = Runner(interpret(read_text(text))).run().trace.final[3:6]
+    k = 3.0 * a * a / (a * a + b * b)
+    rises = 2.0 * k * (1.0 - k) / (1.0 + k) ** 2 * speed if rocks else 0.0
+    assert dy == pytest.approx(0.5 * rises, rel=1e-2, abs=1e-12)
+    assert turn == pytest.approx(-0.5 * rises / a, rel=1e-2, abs=1e-12)

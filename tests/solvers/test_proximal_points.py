@@ -25,6 +25,11 @@ def improved(contacts, least, impulses, allowed):
     return solve_by_proximal_points(contacts, least, size, lowest, impulses, allowed)
 
 
+@kernel
+def missed_by(contacts, least, impulses):
+    return impulse_residual(contacts, least, velocity_scale(contacts, least), impulses)
+
+
 def wall(rows, across, mu, generator):
     """Return the contacts of a wall of bricks between posts, and what their velocities are.
 
@@ -126,6 +131,18 @@ def test_a_solved_problem_takes_no_iterations():
     again = impulses.copy()
     assert improved(contacts, free, again, 1e-9)[1] == 0
     assert (again == impulses).all()
+
+
+@pytest.mark.parametrize("size", [1.0, 1e10, 1e20])
+def test_no_impulses_keep_a_body_out_of_two_faces_that_approach_it(size):
+    """Opposed impulses cancel, however large they are: both faces still approach at 1."""
+    rows = np.zeros((2, 2, 6))
+    rows[0, :, :2], rows[1, :, :2] = np.eye(2), -np.eye(2)
+    contacts = contact_rows(np.array([[0, 1]] * 2), 1, rows, rows.copy(), np.ones((2, 2)))
+    free, impulses = np.array([[-1.0, 0.0]] * 2), np.array([[size, 0.0]] * 2)
+    assert missed_by(contacts, free, impulses) == 1.0
+    left, _ = solved(contacts, free, impulses, 1e-6)
+    assert left == pytest.approx(1.0)
 
 
 def test_impulses_scale_with_masses_and_velocities():

@@ -156,6 +156,28 @@ def test_depth_assertion_catches_excess_penetration(heap):
         assert_depths(numbers, shallow)
 
 
+def test_a_box_may_rest_on_an_accelerated_table():
+    # At the end of a step h the table is h^2 a / 8 above its motion with the box, which is held at
+    # the middle. The box does not leave it: 0.02 m * (20/s)^2 < g.
+    table = """
+kind: scene
+name: table
+gravity: 9.81
+bodies:
+  box:
+    mass: 1
+    inertia: 0.01
+    shape: {polygon: [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]}
+    start: {y: 0.1, dy: 0.4}
+surfaces: {top: {height: 0, displacement: [0, 0.02*sin(20*time)]}}
+collisions: {all: {bodies: [box], surfaces: [top], friction: 0.5, restitution: 0}}
+stop: {time: 0.5}
+settings: {engine: impulse, step: 1e-3}
+"""
+    report = check(model(table), examples=1)
+    assert report.passed, report.text()
+
+
 def test_jointed_bodies_may_overlap():
     subject = Subject(
         model("""

@@ -64,8 +64,8 @@ def test_large_arcs_are_recomputed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_steps_of_a_chunk_that_ends_early_hold_their_own_memory() -> None:
     """Steps taken from a buffer for 500 do not keep the whole buffer alive."""
-    chunk = Chunk.allocate(1e-3, np.zeros(12), 6, 2, 0, 500).first(3)
-    steps = Steps.of(chunk, np.zeros(3, np.bool_), 6, Clock())
+    chunk = Chunk.allocate(1e-3, np.zeros(12), (6, 6, 2, 0), 500).first(3)
+    steps = Steps.of(chunk, 6, Clock())
     for rows in (steps.states, steps.solved, steps.impulses, steps.struck):
         owner = rows if rows.base is None else rows.base
         assert owner.nbytes <= 2 * rows.nbytes

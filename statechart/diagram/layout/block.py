@@ -120,15 +120,14 @@ def with_start(block: LayoutBlock, state: str, name: str) -> LayoutBlock:
     (box,) = (box for box in block.boxes if box.name == state)
 
     def at(across: int, up: int) -> LayoutBlock:
-        tip = (
-            box.centre[0] + across * (box.size[0] / 2 - _ROUND),
-            box.centre[1] + up * (box.size[1] / 2 - _ROUND),
+        x, y = (
+            c + way * (s / 2 - _ROUND)
+            for c, s, way in zip(box.centre, box.size, (across, up), strict=True)
         )
-        dot = tip[0] + across * _OFF, tip[1] + up * _OFF
-        begin = Arrow(name, state, polyline([dot, tip]), arrow(()))
-        return bounding_block(
-            (*block.boxes, Box(name, dot, (_DOT, _DOT), START)), (*block.arrows, begin)
-        )
+        dot = x + across * _OFF, y + up * _OFF
+        begin = Arrow(name, state, polyline([dot, (x, y)]), arrow(()))
+        boxes = (*block.boxes, Box(name, dot, (_DOT, _DOT), START))
+        return bounding_block(boxes, (*block.arrows, begin))
 
     corners = (at(across, up) for across, up in ((-1, 1), (1, 1), (-1, -1), (1, -1)))
     return min(corners, key=lambda one: (count_overlaps(one), _on_frame(one, name)))
@@ -138,11 +137,8 @@ def _on_frame(block: LayoutBlock, dot: str) -> bool:
     """Return whether a dot lies on the line of a box without a label."""
     (x, y) = next(box.centre for box in block.boxes if box.name == dot)
     frames = (box for box in block.boxes if not box.attributes["label"] and box.name != dot)
-    off = (
-        max(abs(x - f.centre[0]) - f.size[0] / 2, abs(y - f.centre[1]) - f.size[1] / 2)
-        for f in frames
-    )
-    return any(abs(distance) < _DOT for distance in off)
+    off = (np.abs(np.subtract((x, y), f.centre)) - np.array(f.size) / 2 for f in frames)
+    return any(abs(distances.max()) < _DOT for distances in off)
 
 
 def polyline(points: Iterable[Point], *, head: bool = True) -> str:
@@ -162,9 +158,8 @@ def polyline(points: Iterable[Point], *, head: bool = True) -> str:
 
 def count_overlaps(block: LayoutBlock) -> int:
     """Return the number of overlaps of arrows with text, dots or other states."""
-    solid = [
-        box for box in block.boxes if box.attributes["label"] or box.attributes["shape"] == "circle"
-    ]
+    looks = ((box, box.attributes) for box in block.boxes)
+    solid = [box for box, look in looks if look["label"] or look["shape"] == "circle"]
     centres = np.array([box.centre for box in solid]).reshape(-1, 2)
     reach = np.array([box.size for box in solid]).reshape(-1, 2) / 2 - _TOUCH
     found = 0

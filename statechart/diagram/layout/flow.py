@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from statechart.diagram.layout import markup
 from statechart.diagram.layout.block import (
     Arrow,
     Attributes,
@@ -23,18 +24,6 @@ from statechart.diagram.layout.block import (
     samples,
 )
 from statechart.diagram.layout.graphviz_program import FONT, lay_out, size_of
-from statechart.diagram.layout.markup import (
-    FRAMES,
-    SMALL,
-    START,
-    Style,
-    arrow,
-    arrow_attributes,
-    state_attributes,
-    table,
-    text,
-    title_attributes,
-)
 from statechart.diagram.model import Chart, Node
 from statechart.palette import FAINT, FRAME
 
@@ -55,7 +44,7 @@ _REGION = {"shape": "box", "style": "invis", "label": ""}
 _DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": " "}
 
 
-def flow(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
+def flow(chart: Chart, style: markup.Style, prefix: str) -> LayoutBlock:
     """Return the layout with the fewest lines through text and frames, and the best fit."""
     drawn = _Flow(chart, style, prefix)
     best: LayoutBlock | None = None
@@ -71,26 +60,26 @@ def flow(chart: Chart, style: Style, prefix: str) -> LayoutBlock:
 class _Flow:
     """A chart in DOT; `looks` are attributes of boxes by identifier (text with an underscore)."""
 
-    def __init__(self, chart: Chart, style: Style, prefix: str) -> None:
+    def __init__(self, chart: Chart, style: markup.Style, prefix: str) -> None:
         self.chart, self.names, self.prefix = chart, style.names, prefix
         leaves = {node.name for node in chart.leaves}
         self.looks: dict[str, Attributes] = {}
         self.starts: dict[str, Node] = {}
         for k, node in enumerate(chart.nodes):
             if node.name in leaves:
-                self.looks[self.names[node.name]] = state_attributes(node, chart, style)
+                self.looks[self.names[node.name]] = markup.state_attributes(node, chart, style)
             else:
-                self.looks[self.title(node)] = title_attributes(node, chart, style)
+                self.looks[self.title(node)] = markup.title_attributes(node, chart, style)
             if node.initial or node.default or node.starting:
                 self.starts[f"{prefix}start{k}"] = node
             if node.starting:
-                words = table([text(node.starting, size=SMALL, colour=FRAME)])
+                words = markup.table([markup.text(node.starting, size=markup.SMALL, colour=FRAME)])
                 self.looks[f"{prefix}start{k}_of"] = {"shape": "plain", "label": words}
         self.words: dict[str | None, list[str]] = {}
         self.edges: dict[str, tuple[str, str, Attributes]] = {}
         for k, ((source, target), links) in enumerate(chart.arrows.items()):
-            self.edges[str(k)] = source, target, arrow(links)
-            attributes = arrow_attributes(links, style)
+            self.edges[str(k)] = source, target, markup.arrow(links)
+            attributes = markup.arrow_attributes(links, style)
             if attributes is not None:
                 self.looks[f"{prefix}{k}"] = attributes
                 around = chart.around(target)
@@ -133,7 +122,7 @@ class _Flow:
         for name, node in self.starts.items():
             begins = any(n.default for n in self.chart.within(node.inside))
             if inside == (None if node.initial and begins else node.inside):
-                part.node(name, **START)
+                part.node(name, **markup.START)
                 if (words := f"{name}_of") in self.looks:
                     part.node(words, **self.looks[words])
         for node in self.chart.within(inside):
@@ -166,29 +155,21 @@ class _Flow:
             (self._frame(node, items) for node in self.chart.frames),
             key=lambda box: -box.size[0] * box.size[1],
         )
-        boxes = [
-            Box(name, _point(item["pos"]), size_of(item), self.looks.get(name, START))
-            for name, item in items.items()
-            if "bb" not in item
-        ]
+        boxes = []
+        for name, item in ((name, item) for name, item in items.items() if "bb" not in item):
+            look = self.looks.get(name, markup.START)
+            boxes.append(Box(name, _point(item["pos"]), size_of(item), look))
         for node in self.chart.frames:
             item, name = items[self.names[node.name]], self.title(node)
             boxes.append(Box(name, _point(item["lp"]), size_of(item, "l"), self.looks[name]))
         courses = {edge["id"]: edge["pos"] for edge in laid.get("edges", [])}
-        ends = {
-            k: (self.names[s], self.names[t], attributes)
-            for k, (s, t, attributes) in self.edges.items()
-        }
-        ends |= {k: (k, self.names[node.name], arrow(())) for k, node in self.starts.items()}
-        arrows = [
-            Arrow(
-                source,
-                target,
-                ";".join(courses[half] for half in (f"{k} to", f"{k} on") if half in courses),
-                attributes,
-            )
-            for k, (source, target, attributes) in ends.items()
-        ]
+        names = self.names
+        ends = {k: (names[s], names[t], look) for k, (s, t, look) in self.edges.items()}
+        ends |= {k: (k, names[node.name], markup.arrow(())) for k, node in self.starts.items()}
+        arrows = []
+        for k, (source, target, look) in ends.items():
+            halves = (courses[half] for half in (f"{k} to", f"{k} on") if half in courses)
+            arrows.append(Arrow(source, target, ";".join(halves), look))
         places = {box.name: box for box in (*frames, *boxes)}
         for node in self.chart.frames:
             if node.parallel:
@@ -218,7 +199,9 @@ class _Flow:
     def _frame(self, node: Node, items: dict[str, Any]) -> Box:
         name = self.names[node.name]
         x0, y0, x1, y1 = map(float, items[name]["bb"].split(","))
-        attributes: Attributes = FRAMES if node.infeasible is None else {**FRAMES, "color": FAINT}
+        attributes: Attributes = (
+            markup.FRAMES if node.infeasible is None else {**markup.FRAMES, "color": FAINT}
+        )
         if node.inside is not None and self.chart.node(node.inside).parallel:
             attributes = _REGION
         return Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), attributes)

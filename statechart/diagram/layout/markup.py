@@ -52,16 +52,13 @@ def text(
 def table(rows: Iterable[Sequence[str] | str], *, padding: int = 1, align: str = "") -> str:
     """Return rows of cells as a label; a row of text is one cell."""
     side = f' ALIGN="{align}" BALIGN="{align}" VALIGN="TOP"' if align else ""
-    cells = "".join(
-        "<TR>"
-        + "".join(
-            cell if cell.startswith("<TD") else f"<TD{side}>{cell}</TD>"
-            for cell in ((row,) if isinstance(row, str) else row)
-        )
-        + "</TR>"
-        for row in rows
-    )
-    return f'<<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="{padding}">{cells}</TABLE>>'
+    lines = []
+    for row in rows:
+        cells = [row] if isinstance(row, str) else row
+        filled = [x if x.startswith("<TD") else f"<TD{side}>{x}</TD>" for x in cells]
+        lines.append(f"<TR>{''.join(filled)}</TR>")
+    body = "".join(lines)
+    return f'<<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="{padding}">{body}</TABLE>>'
 
 
 def plain(words: str) -> str:
@@ -124,12 +121,9 @@ def arrow_attributes(
 
 def arrow(links: Sequence[Link]) -> dict[str, str]:
     """Return the attributes of the line of an arrow."""
-    tooltip = "\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links)
-    return {
-        "arrowsize": "0.7",
-        "color": RUN if any(link.visits for link in links) else INK,
-        "tooltip": plain(tooltip),
-    }
+    tooltip = plain("\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links))
+    colour = RUN if any(link.visits for link in links) else INK
+    return {"arrowsize": "0.7", "color": colour, "tooltip": tooltip}
 
 
 def _details(node: Node, chart: Chart, style: Style, ink: str) -> list[str]:

@@ -12,6 +12,7 @@ from itertools import pairwise
 from math import ceil
 from typing import NamedTuple
 
+from statechart.diagram.layout import markup
 from statechart.diagram.layout.block import (
     Arrow,
     Attributes,
@@ -23,15 +24,6 @@ from statechart.diagram.layout.block import (
     with_start,
 )
 from statechart.diagram.layout.graphviz_program import measure_boxes
-from statechart.diagram.layout.markup import (
-    STATE,
-    Style,
-    arrow,
-    arrow_attributes,
-    state_attributes,
-    table,
-    text,
-)
 from statechart.diagram.model import Chart
 from statechart.palette import RUN
 from statechart.tabular import pluralise
@@ -75,16 +67,13 @@ def find_rounds(path: Sequence[str]) -> Round | None:
     return min(found, key=lambda one: len(one.order), default=None)
 
 
-def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
+def ring(chart: Chart, style: markup.Style, prefix: str) -> LayoutBlock | None:
     """Return the layout of the path of a run; None if it is too long or too short."""
     found = find_rounds(chart.path) or Round(chart.path, None, 1)
     order, back = found.order, found.back
-    lone = back is not None and len(order) - back < _MIN_RING
-    if (
-        lone
-        or not _MIN_RING <= len(order) <= MAX_STEPS
-        or {*order} != {n.name for n in chart.nodes}
-    ):
+    short = back is not None and len(order) - back < _MIN_RING
+    fits = _MIN_RING <= len(order) <= MAX_STEPS and not short
+    if not fits or {*order} != {n.name for n in chart.nodes}:
         return None
     bare = replace(chart, links=())
     names = [
@@ -92,19 +81,17 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
         for k, name in enumerate(order)
     ]
     looks: dict[str, Attributes] = {
-        name: state_attributes(replace(chart.node(mode), visits=None), bare, style)
+        name: markup.state_attributes(replace(chart.node(mode), visits=None), bare, style)
         for name, mode in zip(names, order, strict=True)
     }
     steps = [*pairwise(range(len(names)))]
     if back is not None:
         steps.append((len(names) - 1, back))
     taken = [chart.bundles[order[a], order[b]] for a, b in steps]
-    words = [arrow_attributes(links, style, narrow=True, counted=False) for links in taken]
-    labels: dict[str, Attributes] = {
-        f"{prefix}{k}": attributes for k, attributes in enumerate(words) if attributes
-    }
-    count = text(pluralise(found.rounds, "round"), size=STATE, bold=True, colour=RUN)
-    middle = {f"{prefix}rounds": {"shape": "plain", "label": table([count])}}
+    words = [markup.arrow_attributes(links, style, narrow=True, counted=False) for links in taken]
+    labels: dict[str, Attributes] = {f"{prefix}{k}": look for k, look in enumerate(words) if look}
+    count = markup.text(pluralise(found.rounds, "round"), size=markup.STATE, bold=True, colour=RUN)
+    middle = {f"{prefix}rounds": {"shape": "plain", "label": markup.table([count])}}
     sizes = measure_boxes({**looks, **labels, **middle})
     cell = max(sizes[n][0] for n in looks), max(sizes[n][1] for n in looks)
     wide, high = (
@@ -126,11 +113,10 @@ def ring(chart: Chart, style: Style, prefix: str) -> LayoutBlock | None:
         if name in labels:
             boxes.append(Box(name, between, sizes[name], labels[name]))
         line = _line(spots[a], spots[b], cell, between, sizes.get(name))
-        arrows.append(Arrow(names[a], names[b], line, arrow(taken[k])))
+        arrows.append(Arrow(names[a], names[b], line, markup.arrow(taken[k])))
     if back is not None:
-        boxes += [
-            Box(n, _middle(spots[back:]), sizes[n], attributes) for n, attributes in middle.items()
-        ]
+        centre = _middle(spots[back:])
+        boxes += [Box(n, centre, sizes[n], look) for n, look in middle.items()]
     return with_start(bounding_block(boxes, arrows), names[0], f"{prefix}start")
 
 
