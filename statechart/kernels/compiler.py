@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -60,12 +59,12 @@ def dispatcher(function: Callable[..., Any], cache: CodeCache, count: Callable[[
     def compile_whole(signature: Signature) -> Any:
         signature = plain(signature)
         # Signals end a compilation at once: it may take half a minute.
-        with interrupts.let_through(), _no_garbage_collection():
+        with interrupts.let_through():
             if signature not in made.overloads and not is_loaded(signature):
                 with compiling.whole(compiling.KERNELS, count), cache.turn():
                     # Another process may have compiled it meanwhile.
                     if not is_loaded(signature):
-                        compile_(signature)
+                        _with_stack(lambda: compile_(signature))
                         data = to_bytes(made.overloads[signature])
                         if data is not None:
                             cache.save(_key(signature, made), data)
@@ -75,16 +74,13 @@ def dispatcher(function: Callable[..., Any], cache: CodeCache, count: Callable[[
     return made
 
 
-@contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    # Of the millions of objects that numba makes, few are garbage while it compiles.
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
+def _with_stack(call: Callable[[], Any]) -> None:
+    call()
+
+
+# CPython maps 16 kB of stack at a call that needs them, and unmaps them as it returns: inner calls of
+# a compilation do so a million times. A frame of 1 MB brings as much for all calls in it.
+_with_stack.__code__ = _with_stack.__code__.replace(co_stacksize=2**17)
 
 
 def _key(signature: Signature, made: Any) -> str:
