@@ -78,8 +78,8 @@ def _with_stack(call: Callable[[], Any]) -> None:
     call()
 
 
-# CPython maps 16 kB of stack at a call that needs them, and unmaps them as it returns: inner calls of
-# a compilation do so a million times. A frame of 1 MB brings as much for all calls in it.
+# CPython maps 16 kB of stack at a call that needs them and unmaps them as it returns, which inner
+# calls of a compilation do a million times. A frame of 1 MB brings as much for all calls in it.
 _with_stack.__code__ = _with_stack.__code__.replace(co_stacksize=2**17)
 
 
