@@ -13,6 +13,7 @@ from functools import partial
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.parameters import MASS_UNIT
 from contacts.scene.modes import Row
 from statechart.automaton.reduction import Coordinates, Elimination
 from statechart.formulas.formula import parse
@@ -31,6 +32,7 @@ def coordinates(mechanics: Mechanics) -> Coordinates:
         tuple(row.hold(mechanics.a) for row in joints),
         partial(motion, mechanics),
         _display_parameters(mechanics),
+        mechanics.parameters.symbols.get(MASS_UNIT),
     )
 
 

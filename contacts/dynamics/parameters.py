@@ -32,6 +32,10 @@ HELD_FORCE = "scene.held_force"
 """Parameters ``scene.held_force0`` of scenes that switch: see `contacts.dynamics.held_forces`."""
 SIZE = "scene.size"
 """Parameters ``scene.size0`` of scenes with `enabled`: sizes of coordinates and rates by steps."""
+MASS_UNIT = "scene.mass_unit"
+"""Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
+MAGNITUDES = 1e-40, 1e40
+"""Range of masses (kg) whose products in determinants (five masses, and lengths) are floats."""
 
 
 def coefficients_of(law: FrictionLaw) -> tuple[tuple[str, ...], ...]:
@@ -122,7 +126,13 @@ def scene_parameters(scene: Scene) -> Parameters:
                 expressions[f"{name}.turn0"] = turns[0] - sp.Add(*turns[1:])
         if has_switches(scene):
             expressions |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
-        return expressions | _sizes(scene, len(scene.variables))
+        expressions |= _sizes(scene, len(scene.variables))
+        values = scene.values({})
+        masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
+        if masses and not MAGNITUDES[0] <= min(masses) <= max(masses) <= MAGNITUDES[1]:
+            # Set by `contacts.dynamics.scales.mass_unit`.
+            expressions[MASS_UNIT] = sp.S.Zero
+        return expressions
 
     return Parameters(scene.parameters, derived, partial(_initial, scene))
 

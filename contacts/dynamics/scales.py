@@ -12,6 +12,7 @@ import sympy as sp
 
 from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.parameters import MAGNITUDES
 from contacts.scene.checks import MAX_SIZE
 from contacts.scene.joints import Path
 from statechart.arrays import EPS, Array, Ints
@@ -267,6 +268,15 @@ def _prescribed(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr], lis
         if isinstance(joint.to, Path):
             shifts |= dict.fromkeys(mechanics.joint_end(joint.to))
     return [shift for shift in shifts if mechanics.time in shift.free_symbols], turns, levers
+
+
+@kernel
+def mass_unit(acceleration: float, force: float) -> float:
+    """Return the power of two below the mass of a scene where that is extreme; else 0."""
+    mass = force / acceleration
+    if mass == 0.0 or MAGNITUDES[0] <= mass <= MAGNITUDES[1]:
+        return 0.0
+    return float(2.0 ** math.floor(math.log2(mass)))
 
 
 @kernel

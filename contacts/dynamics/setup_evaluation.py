@@ -19,8 +19,8 @@ from sympy.utilities.iterables import connected_components
 from contacts.dynamics.conditions import Conditions, undecided_couplings
 from contacts.dynamics.contact_law import ContactLaw, coupling_law, touching_pairs
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.parameters import GAP_OFFSET, with_sizes
-from contacts.dynamics.scales import Scales, ScaleTape, horizon, measure
+from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
+from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
     FORCE_BAND,
     ROUNDING,
@@ -135,7 +135,7 @@ class SceneNumbers:
     @property
     def compiled(self) -> bool:
         """True if `run_numbers` computes the setup of its runs."""
-        return self.limits is not None
+        return self.limits is not None and MASS_UNIT not in self.places
 
     def at(
         self, overrides: Mapping[str, float], relative: float, *, stepped: bool = False
@@ -161,6 +161,9 @@ class SceneNumbers:
             # Blame a formula that has no finite value first.
             check_all(finite_checks(self.scene), self.scene.values(overrides))
             raise
+        if MASS_UNIT in self.places:
+            values = values.copy()
+            values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
         if stepped:
             values = with_sizes(values, self.places, scales.sizes)
         margins = self.stop_tape.at(initial, values, 0.0).tolist()

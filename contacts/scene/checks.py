@@ -259,10 +259,10 @@ _MAX_NUMBER = sys.float_info.max
 _MAX_ANGLE = 1e8
 _POSITIVE = math.ulp(0.0), _MAX_NUMBER, "must be positive, not {:g}"
 _PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
-# Determinants of modes are products of up to five masses, and lengths.
-_MASSES = "must be between 1e-40 and 1e+40, not {:g}"
-_LIGHT = 1e-40, _MAX_NUMBER, _MASSES, "take smaller units"
-_HEAVY = 0.0, 1e40, _MASSES, "take larger units"
+# Beyond these masses energies are no floats, or the round-off of forces.
+_MASSES = "must be between 1e-280 and 1e+300, not {:g}"
+_LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
+_HEAVY = 0.0, 1e300, _MASSES, "take larger units"
 MAX_SIZE = 1e100
 """Beyond it the squares of lengths and rates overflow."""
 

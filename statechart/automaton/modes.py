@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -60,6 +60,44 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
     return Mode((*controls, *solved), rates, margins, **follows)
 
 
+class _MassUnit:
+    """Scales forces by a unit of mass, since determinants contain products of up to five masses.
+
+    The unit is a parameter of the automaton; if it is zero, equations are not scaled.
+    """
+
+    def __init__(
+        self, automaton: Automaton, zeros: Collection[sp.Symbol], carriers: Sequence[sp.Symbol] = ()
+    ) -> None:
+        coordinates = automaton.coordinates
+        self.count = 0 if coordinates is None else len(coordinates.accelerations)
+        unit = None if coordinates is None else coordinates.mass_unit
+        self._unit = None if unit in zeros else unit
+        self._forces = (*automaton.unknowns[self.count :], *carriers)
+
+    def motion(self, equations: Iterable[sp.Expr]) -> list[sp.Expr]:
+        """Return equations of motion (each = 0) divided by the unit, with scaled forces."""
+        unit = self._unit
+        if unit is None:
+            return [*equations]
+        scaled = {force: unit * force for force in self._forces}
+        return [
+            sp.Add(*(term.xreplace(scaled) / unit for term in sp.Add.make_args(equation)))
+            for equation in equations
+        ]
+
+    def solved(self, definitions: Iterable[Definition]) -> tuple[Definition, ...]:
+        """Return definitions with unscaled forces."""
+        if self._unit is None:
+            return tuple(definitions)
+        found, within = [], {force: sp.Dummy(f"{force}_unit", real=True) for force in self._forces}
+        for symbol, expression in definitions:
+            found.append((within.get(symbol, symbol), expression.xreplace(within)))
+            if symbol in within:
+                found.append((symbol, self._unit * within[symbol]))
+        return tuple(found)
+
+
 def _solve_mode(
     automaton: Automaton,
     states: Sequence[State],
@@ -70,7 +108,9 @@ def _solve_mode(
     carried = {unknown: by for load in loads for unknown, by in load.carried.items()}
     # In place of the carried unknowns, paired with their equations.
     carriers = [c for load in loads for c in load.carriers]
+    unit = _MassUnit(automaton, substitution, carriers)
     moving = [e.xreplace(carried) if carried else e for e in automaton.equations]
+    moving = [*unit.motion(moving[: unit.count]), *moving[unit.count :]]
     equations = [
         equation.xreplace(substitution)
         for equation in (*moving, *(e for s in states for e in s.equations))
@@ -84,7 +124,7 @@ def _solve_mode(
         own = [unknown] if by is None else [c for c in carriers if by.has(c)]
         unknowns |= dict.fromkeys(own)
     solved = solve_linear(equations, tuple(unknowns), len(automaton.equations))
-    return (*solved, *_solve_shared(loads, substitution))
+    return (*unit.solved(solved), *_solve_shared(loads, substitution))
 
 
 def _paired_unknowns(automaton: Automaton) -> list[sp.Symbol]:
@@ -113,6 +153,7 @@ def _minimal(
     # Coefficients of zero forces may be infinite, as of a disabled contact.
     nothing = dict.fromkeys(absent, sp.S.Zero)
     follow = [automaton.equations[places[e]].xreplace(nothing) for e in others if e in places]
+    unit = _MassUnit(automaton, substitution)
 
     def inserted(equations: Iterable[sp.Expr]) -> list[sp.Expr]:
         return [e.xreplace(known).xreplace(substitution) for e in equations]
@@ -121,11 +162,13 @@ def _minimal(
     forces = [u for u in _paired_unknowns(automaton) if u not in coordinates.accelerations]
     free = [force for force in forces if force not in elimination.forces]
     held = [force for force in forces if force in elimination.forces]
-    moving = [e.xreplace(substitution) for e in motion]
-    return (
-        *solve_linear([*moving, *inserted(laws)], (*left, *free), len(moving)),
-        *elimination.accelerations.items(),
-        *solve_linear(inserted(follow), held),
+    moving = [e.xreplace(substitution) for e in unit.motion(motion)]
+    return unit.solved(
+        (
+            *solve_linear([*moving, *inserted(laws)], (*left, *free), len(moving)),
+            *elimination.accelerations.items(),
+            *solve_linear(inserted(unit.motion(follow)), held),
+        )
     )
 
 

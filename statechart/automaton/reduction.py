@@ -56,6 +56,7 @@ class Coordinates:
     # (elimination, applied forces) -> equations of motion (each = 0) of the remaining coordinates
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
     written: Known  # undeclared parameters -> expressions shown to users
+    mass_unit: sp.Symbol | None = None  # parameter by which modes are scaled, unless it is 0
 
     def remaining(self, elimination: Elimination) -> tuple[int, ...]:
         """Return the indices of the remaining coordinates."""

@@ -157,7 +157,10 @@ class SolvedModes:
 
     @cached_property
     def _always(self) -> frozenset[int]:
-        return self._places((*self.automaton.equations, *self.automaton.rates))
+        automaton, coordinates = self.automaton, self.automaton.coordinates
+        unit = None if coordinates is None else coordinates.mass_unit
+        further = () if unit is None else (unit,)
+        return self._places((*automaton.equations, *automaton.rates, *further))
 
     def _in_state(self, region: int, role: Role) -> frozenset[int]:
         """Return the indices of the parameters in the equations of a region."""

@@ -145,7 +145,7 @@ def test_bounces_of_two_contacts_far_from_the_origin_warn_of_their_order(e, warn
 
 
 @pytest.mark.parametrize("name", ENGINES)
-@pytest.mark.parametrize("mass", [1e-39, 1e20, 4e39])
+@pytest.mark.parametrize("mass", [1e-150, 1e155, 1e160, 4e299])
 @pytest.mark.parametrize("meaning", ["newton", "poisson", "stronge"])
 def test_extreme_masses_rebound(name: str, mass: float, meaning: str) -> None:
     text = DISC.replace("restitution: 0.5", f"restitution: 0.5, impact: {meaning}")

@@ -73,16 +73,16 @@ def test_numbers_whose_squares_are_no_floats_are_refused(
         run(read_text(BALL), parameters={name: value}, **settings)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("mass", [1e-40, 1e-20, 1e20, 1e40])
+@pytest.mark.parametrize("mass", [1e-280, 1e-100, 1e100, 1e300])
 def test_the_motion_of_a_ball_is_independent_of_its_mass(mass: float) -> None:
     made = run(read_text(BALL), parameters={"m": mass}).trace
     assert made.outcome is Outcome.HORIZON
     assert made.final == pytest.approx(run(read_text(BALL)).trace.final, abs=1e-12)
 
 
-@pytest.mark.parametrize("mass", [1e-320, 1e-41, 1e41])
-def test_a_mass_whose_powers_are_no_floats_is_refused(mass: float) -> None:
-    with pytest.raises(DeclarationError, match=r"must be between 1e-40 and 1e\+40"):
+@pytest.mark.parametrize("mass", [1e-320, 1e-281, 1e301])
+def test_a_mass_whose_energy_is_no_float_is_refused(mass: float) -> None:
+    with pytest.raises(DeclarationError, match=r"must be between 1e-280 and 1e\+300"):
         run(read_text(BALL), parameters={"m": mass})
 
 
