@@ -202,7 +202,7 @@ def _landing(
                     return 0.0
             elif space.bounces[i] != 0:
                 return 0.0
-            elif d == 0 and change * first > active.levels[i, 1]:
+            elif d == 0 and 0.0 < active.levels[i, 1] < change * first:
                 first = active.levels[i, 1] / change
     return first
 

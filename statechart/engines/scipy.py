@@ -28,8 +28,8 @@ _UNDERFLOW = 1e-100
 # Round-off of the rates times a step, in parts of the error estimate that it causes.
 _NOISE = 4.0
 # Absolute tolerances are relative to this part of the scales of variables; round-off of the rates
-# raises them, at most to the scales.
-_PART = 1e-3
+# raises them, at most to the scales, and to `_COARSEST` of these: forces of stiff contacts follow.
+_PART, _COARSEST = 1e-3, 1e-11
 # Least relative tolerance of solve_ivp.
 _MIN_TOLERANCE = 100 * float(np.finfo(float).eps)
 # The slope error of dense output is below _SLOPE * tolerance**_SLOWER: one order lower than the
@@ -174,7 +174,7 @@ class SciPy(Engine):
         absolute = self._absolute = self.tolerance * self.floor
         # Errors of a variable near zero grow in its root; one that passes zero needs short steps.
         absolute[stepper.rooted] *= math.sqrt(self.tolerance)
-        self._coarsest = self.tolerance * np.maximum(magnitude, smallest)
+        self._coarsest = min(self.tolerance, _COARSEST) * np.maximum(magnitude, smallest)
         self._coarsest[stepper.rooted] = absolute[stepper.rooted]
         options: dict[str, Any] = {"rtol": self.tolerance, "atol": absolute}
         if self.max_step < math.inf:

@@ -99,6 +99,7 @@ def test_a_row_that_touches_passes_a_blow_on(masses, e, speeds, step):
     left = [what["what"] for what in result.to_dict()["left_out"]]
     assert not any("simultaneous" in what for what in left)
     np.testing.assert_allclose(speeds_of(result), in_turn(masses, e, speeds), atol=1e-9)
+    assert result.trace.jumps[0].t == pytest.approx(START, abs=step)
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-9, 1e-6, 1e-4])

@@ -29,7 +29,8 @@ from statechart.study.trade import plan, trade
 @pytest.mark.parametrize("model", ["oscillator", "toppling_stick"])
 def test_slopes_are_those_of_theory(model: str) -> None:
     runner = Runner(read_text(OSCILLATOR) if model == "oscillator" else model)
-    settings = [*scipy("RK45", *range(3, 12)), *scipy("DOP853", *range(3, 14))]
+    # At 1e-3 the step of an event of DOP853 is repeated: its error is a third.
+    settings = [*scipy("RK45", *range(3, 12)), *scipy("DOP853", *range(4, 14))]
     found = traded(runner, settings=settings)
     assert found.complete
     fits = {(slope.family, slope.of): slope for slope in slopes(found)}
