@@ -181,7 +181,8 @@ def _velocity_floor(active: ActiveContacts, rates: Array, members: Ints) -> floa
     for i in members:
         for d in range(2):
             # Joints count with their whole velocity, loads of couplings are none.
-            if active.laws[i] < 0 if d == 0 else active.materials[i, 1] <= 0.0:
+            counts = active.laws[i] >= 0 if d == 0 else active.materials[i, 1] > 0.0
+            if not counts:
                 continue
             speeds = abs(active.free[i, d])
             for side in range(2):

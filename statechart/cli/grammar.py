@@ -87,7 +87,8 @@ def parser() -> argparse.ArgumentParser:
 
 _OPTIONS = {
     **dict.fromkeys(("--page", "--html"), "--report"),
-    **dict.fromkeys(("--t-end", "--tend", "--tmax", "--end", "--time", "--duration"), "--until"),
+    **dict.fromkeys(("--t-end", "--tend", "--stop-time", "--end"), "--until"),
+    **dict.fromkeys(("--tmax", "--t-max", "--time", "--duration"), "--until"),
     **dict.fromkeys(("--dt", "--timestep", "--time-step"), "--step"),
     **dict.fromkeys(("--tol", "--rtol", "--atol"), "--tolerance"),
     **dict.fromkeys(("--solver", "--integrator"), "--engine"),

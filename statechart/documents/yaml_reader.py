@@ -34,11 +34,23 @@ MAX_BYTES = 1024 * 1024
 MAX_VALUES = 60_000
 MAX_DEPTH = 32
 
+# First bytes of files of other formats.
+_OTHERS = {
+    b"%PDF": "a PDF",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+    b"PK\x03\x04": "a ZIP archive, or a document of an office program",
+    b"\x1f\x8b": "a compressed file",
+}
+
 
 def read(path: Path) -> Document:
     """Read a YAML file; raise `DeclarationError` if it is missing or no valid document."""
     source = str(path)
     raw = read_bounded(path, MAX_BYTES, "name a YAML file")
+    for begin, what in _OTHERS.items():
+        if raw.startswith(begin):
+            raise Position(source, 1, 1).error(f"this is {what}", "name a YAML file")
     try:
         # A file that is too long may be cut inside a character; read_text refuses it.
         text = raw.decode("utf-8-sig", "ignore" if len(raw) > MAX_BYTES else "strict")

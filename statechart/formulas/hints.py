@@ -137,7 +137,9 @@ _WORDS: Mapping[str, str] = {
     "{REGION: STATE}}",
     "der": "a rate stands in flows; of a coordinate x it is dx",
     **dict.fromkeys(("pre", "previous"), "updates see the values before; write the variable"),
-    **dict.fromkeys(("edge", "rising"), "write the relation: a guard fires as it becomes true"),
+    **dict.fromkeys(
+        ("edge", "rising", "rise", "change"), "write the relation: a guard fires as it becomes true"
+    ),
     **dict.fromkeys(
         ("rand", "random", "randn", "noise", "uniform", "normal"),
         "runs are not random; write a parameter, and sweep it",

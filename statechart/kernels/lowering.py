@@ -205,7 +205,7 @@ class _Library(JITCodeLibrary):
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr:
                 function.linkage = Linkage.internal
-        # Unrolled, loops of unknown length would double the code; few of ours are long.
+        # Unrolled, loops of unknown length would double the code. LLVM's options are the process's.
         set_option("", "-unroll-runtime=false")
         super()._optimize_final_module()
         set_option("", "-unroll-runtime=true")

@@ -107,14 +107,11 @@ stop: {time: 0.11}
 """  # noqa: E501
 
 
-@pytest.mark.parametrize(
-    ("angle", "settings"),
-    [(3e-5, {}), (8e-5, {}), (1e-3, {}), (3e-5, {"engine": "scipy", "tolerance": 1e-8})],
-)
-def test_the_slip_of_feet_that_are_nearly_level_tells_the_round_off_of_their_forces(
-    angle: float, settings: dict[str, Any]
-) -> None:
-    """At rest H = +-r t/(0.4 sin a) of the two feet, on top of half the weight along the slope."""
+def tilted(angle: float, slip: float) -> tuple[str, float, str]:
+    """Return a scene whose foot slips at a time, its margin of friction at the start, and its name.
+
+    At rest H = +-r t/(0.4 sin a) of the two feet, on top of half the weight along the slope.
+    """
     across = [np.cos(angle) * x + 0.1 * np.sin(angle) for x in (-0.2, 0.2)]
     up = [np.sin(angle) * x - 0.1 * np.cos(angle) for x in (-0.2, 0.2)]
     height = 0.1 * np.cos(angle) - 5 * np.cos(-0.113) / 14000
@@ -124,9 +121,18 @@ def test_the_slip_of_feet_that_are_nearly_level_tells_the_round_off_of_their_for
     first, force = min(
         (0.8 * normal[0] + along, "left.mu V + H"), (0.8 * normal[1] - along, "right.mu V - H")
     )
-    # The slip is due at 0.1.
     text = TILTED.replace("ANGLE", repr(angle)).replace("MOMENT", repr(float(moment)))
-    text = text.replace("RATE", repr(float(first * 4.0 * np.sin(angle))))
+    return text.replace("RATE", repr(float(first * 0.4 * np.sin(angle) / slip))), first, force
+
+
+@pytest.mark.parametrize(
+    ("angle", "settings"),
+    [(3e-5, {}), (8e-5, {}), (1e-3, {}), (3e-5, {"engine": "scipy", "tolerance": 1e-8})],
+)
+def test_the_slip_of_feet_that_are_nearly_level_tells_the_round_off_of_their_forces(
+    angle: float, settings: dict[str, Any]
+) -> None:
+    text, first, force = tilted(angle, 0.1)
     result = run(read_text(text), **settings)
     jump = result.trace.jumps[0]
     assert (jump.cause, jump.fired) == ("slip", (force,))
@@ -135,3 +141,15 @@ def test_the_slip_of_feet_that_are_nearly_level_tells_the_round_off_of_their_for
     # The margin falls by `first` in 0.1. Its enclosure is wider than the round-off of its value.
     assert jump.t - 0.1 == pytest.approx(known * 0.1 / first, rel=0.3)
     assert known < 1e-11 / angle**2
+
+
+@pytest.mark.parametrize("tolerance", [1e-10, 1e-12, 1e-13])
+def test_steps_do_not_shrink_below_the_round_off_of_the_rates(tolerance: float) -> None:
+    # That both feet stick forbids the body to turn, by forces of order 1/a.
+    text, _, force = tilted(8e-5, 0.03)
+    result = run(read_text(text), engine="scipy", tolerance=tolerance, until=0.039)
+    jump = result.trace.jumps[0]
+    assert (jump.cause, jump.fired) == ("slip", (force,))
+    # They magnify round-off, as taylor's: 0.0300037.
+    assert jump.t == pytest.approx(0.03, rel=1e-3)
+    assert result.trace.counts["steps"] < 1000  # 37546 at 1e-12 if errors of round-off shorten them
