@@ -265,10 +265,12 @@ def check_all(checks: Iterable[ValueCheck], values: Mapping[str, float]) -> None
 
 KINKED = ("abs", "sign", "min", "max", "sat")
 """Nonsmooth functions."""
+SWITCHING = (*KINKED, "atan2")
+"""Functions with switching surfaces: kinks and branch cuts."""
 
 
 def has_switch(
-    text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
+    text: str | int | float, variables: Collection[str], functions: Collection[str] = SWITCHING
 ) -> bool:
     """Return whether a formula contains one of `functions` of any of `variables`."""
     calls = tree.calls_in(parse(text).root, functions)
