@@ -1,8 +1,8 @@
 """Boolean trees of *and* and *or* over smooth atoms ``f <= 0`` and ``f < 0``.
 
 `min`, `max`, `abs` and `sign` become *and* and *or*: ``max(a, b) + c <= 0`` is ``a + c <= 0 and b +
-c <= 0``. The sign of an unknown factor is a further atom. Inside another function, ``g(max(a, b)) <= 0``
-is ``a >= b and g(a) <= 0 or b >= a and g(b) <= 0``.
+c <= 0``. The sign of an unknown factor is a further atom. Inside another function, ``g(max(a, b))
+<= 0`` is ``a >= b and g(a) <= 0 or b >= a and g(b) <= 0``.
 
 A certificate is a set of atoms that decide the truth of the tree, like the watched literals of SAT
 solvers (Moskewicz et al., "Chaff", 2001): one false part of a false *and*, all parts of a false
