@@ -69,7 +69,9 @@ def test_a_lift_that_jumps_where_a_slide_starts_is_seen_or_reported() -> None:
     assert result.trace.message.endswith(advice)
 
 
-def test_a_position_at_which_a_force_jumps_beyond_friction_is_reported() -> None:
-    text = FALLING.replace("START", "0").replace("FORCE", '["9*sign(b.x)", 0]')
+# The second force reaches friction at one side only, while the body rests.
+@pytest.mark.parametrize("force", ["9*sign(b.x)", "3*sin(time) - 4*sign(b.x)"])
+def test_a_position_at_which_a_force_jumps_beyond_friction_is_reported(force: str) -> None:
+    text = FALLING.replace("START", "0").replace("FORCE", f'["{force}", 0]')
     result = run(read_text(text), engine="taylor", throw=False)
     assert result.trace.message.endswith("a sign jumps there: write a state for each side")
