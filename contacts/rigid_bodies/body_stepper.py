@@ -19,7 +19,7 @@ from contacts.collision_detection.surfaces import GRAPH, LINE, PLATE
 from contacts.dynamics.conditions import undecided_couplings
 from contacts.dynamics.controllers import Controllers, controller
 from contacts.dynamics.parameters import with_sizes
-from contacts.dynamics.scales import Scales, check_range
+from contacts.dynamics.scales import Scales, VariableSizes, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.starting import check_limits
 from contacts.rigid_bodies.body_step import StepOptions
@@ -174,6 +174,7 @@ class BodyStepper(Stepper):
         self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics)
         self._constants = declared.constants()
+        self._variable_sizes = VariableSizes(mechanics)
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names = body_names(mechanics.scene, mechanics.scene.owners())
         self._surfaces = touchable_surfaces(mechanics.scene)
@@ -315,7 +316,7 @@ class BodyStepper(Stepper):
             paradox=self._scene.paradox,
             capture=0.0,
             bands={},
-            sizes=scales.state(remembered),
+            sizes=self._variable_sizes.at(scales, values, initial),
             warnings=(
                 *self._warnings,
                 *implied_remarks(self._scene, bodies, every),
