@@ -84,6 +84,16 @@ def test_all_events_remain_if_the_runs_did_not_skip_the_same_sequences() -> None
     assert not any(event.ends for events in found for event in events)
 
 
+def test_a_sequence_that_one_run_skipped_alone_leaves_the_earlier_ones_aligned() -> None:
+    alone = jump_at(2.8, target=CLOSED, skipped=0.1)
+    found = resolved_events([bounces(6, opening()), bounces(7, opening(), alone)])
+    assert [len(events) for events in found] == [6, 7]
+    assert [event.jump.t for event in found[0]] == [event.jump.t for event in found[1][:6]]
+    elsewhere = jump_at(0.0, target=CLOSED, skipped=0.5)
+    found = resolved_events([bounces(6, opening()), [elsewhere, *bounces(7, opening())]])
+    assert [len(events) for events in found] == [7, 9]
+
+
 def test_a_jump_of_one_run_alone_ends_the_pairs() -> None:
     one, other = bounces(6, opening(t=2.5)), bounces(6, opening("hand", t=2.5))
     pairs, unpaired = pair_jumps(run_of(one), run_of(other))
