@@ -427,9 +427,11 @@ def _without_sign(atom: Atom, sign: sp.Expr) -> Any:
     )
     if zero.expression.has(sympy.nan, sympy.zoo):
         return atom
-    parts = []
-    for side, other in ((-u, plus), (u, minus)):
-        # A side with the truth at zero includes zero.
-        same = zero.constant is not None and zero.constant is other.constant
-        parts.append(And((Atom(side, not same), other)))
-    return Or((*parts, And((Atom(u, False), Atom(-u, False), zero))))
+    # A side with the truth at zero includes zero.
+    above, below = (
+        zero.constant is not None and zero.constant is side.constant for side in (plus, minus)
+    )
+    parts = [And((Atom(-u, not above), plus)), And((Atom(u, not below), minus))]
+    if not (above or below):
+        parts.append(And((Atom(u, False), Atom(-u, False), zero)))
+    return Or(tuple(parts))
