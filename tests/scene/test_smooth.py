@@ -169,5 +169,5 @@ def test_a_path_that_folds_its_argument_back_is_refused(path: str, folds: bool) 
     if not folds:
         validate(read_text(text), Scene)
         return
-    with pytest.raises(DeclarationError, match="of time has no slope, .* write a smooth formula"):
+    with pytest.raises(DeclarationError, match=r"of time has no slope, .* write a smooth formula"):
         validate(read_text(text), Scene)
