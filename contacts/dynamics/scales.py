@@ -17,6 +17,7 @@ from contacts.scene.checks import MAX_SIZE
 from contacts.scene.joints import Path
 from statechart.arrays import EPS, Array, Ints
 from statechart.automaton.margin_derivatives import derivative
+from statechart.charts.guard_watch import tape_with_sizes
 from statechart.errors import DeclarationProblem
 from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel
@@ -61,11 +62,6 @@ class Scales:
         """The sizes (n,) of the coordinates."""
         return self.sizes[: len(self.sizes) // 2]
 
-    def state(self, memory: Array) -> Array:
-        """Return the sizes of coordinates, rates and controllers' variables."""
-        # The size of a variable that starts at zero is unknown.
-        return np.concatenate([self.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
-
     def solved(self, count: int) -> Array:
         """Return the sizes of `count` unknowns: accelerations, then forces."""
         rates = self.sizes[len(self.sizes) // 2 :]
@@ -81,6 +77,44 @@ def check_range(number: float, quantity: str, loc: tuple[str, ...]) -> None:
             advice="take larger units",
             loc=loc,
         )
+
+
+class VariableSizes:
+    """Sizes of the state with the controllers' variables.
+
+    The size of a variable is its start. From zero it is the change in the scene's unit of time, by
+    the terms of its rates in all states; 1 if only updates change it.
+    """
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        controls = mechanics.scene.controlled
+        symbols, parameters = mechanics.state, mechanics.parameters.ordered
+        known, found = {*symbols, *parameters, mechanics.time}, dict[tuple[int, sp.Expr], None]()
+        for region in {*controls.flowing.values()}:
+            for state in controls.flat[region].states:
+                values = mechanics.values_in({**controls.initial, region: state})
+                rates = mechanics.controller_rates_in(values).values()
+                moving = ((k, rate) for k, rate in enumerate(rates) if rate != 0)
+                found |= {(k, r): None for k, r in moving if r.free_symbols <= known}
+        self._places = np.array([k for k, _ in found], np.int64)
+        named = set[sp.Basic]().union(*(rate.free_symbols for _, rate in found))
+        self._read = np.array([k for k, one in enumerate(symbols) if one in named], np.int64)
+        read, terms = tuple(symbols[k] for k in self._read), tuple(rate for _, rate in found)
+        self._tape = tape_with_sizes(terms, read, parameters, mechanics.time)
+
+    def at(self, scales: Scales, values: Array, initial: Array) -> Array:
+        """Return the sizes of coordinates, rates and variables."""
+        sizes = np.concatenate([scales.sizes, np.abs(initial[len(scales.sizes) :])])
+        memory, unit = sizes[len(scales.sizes) :], scales.length / scales.speed
+        while (zero := memory[self._places] == 0.0).any():
+            inputs = np.concatenate([initial[self._read], sizes[self._read]])
+            terms = self._tape.values(inputs, values, unit)
+            terms = np.where(np.isfinite(terms[len(zero) :]), terms[len(zero) :], 0.0)
+            np.maximum.at(memory, self._places[zero], unit * terms[zero])
+            if not (memory[self._places[zero]] > 0.0).any():
+                break
+        memory[memory == 0.0] = 1.0
+        return sizes
 
 
 # Groups of numbers that determine the scales; the components of gravity, then derivatives of

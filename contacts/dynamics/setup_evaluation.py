@@ -20,7 +20,7 @@ from contacts.dynamics.conditions import Conditions, undecided_couplings
 from contacts.dynamics.contact_law import ContactLaw, coupling_law, touching_pairs
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
-from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
+from contacts.dynamics.scales import Scales, ScaleTape, VariableSizes, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
     FORCE_BAND,
     ROUNDING,
@@ -56,6 +56,9 @@ POINT_MASS = 1e-12
 FAR, FAR_IN_TURN = 1e-10, 1e-12
 # Least share of a body in the mass of the scene without a warning that its events are late.
 _MIN_SHARE = 1e-6
+# Least size of a scene, and reciprocal of the largest, in which couples and angular rates have the
+# tolerances of forces and speeds; measured: events are wrong below 1e-8 and above 1e8.
+_SHORTEST = 1e-7
 # First horizon of a run, in the scene's unit of time.
 LOOK_AHEAD = 64.0
 
@@ -72,6 +75,7 @@ class SceneNumbers:
         offsets = [self.places.get(f"{name}.{GAP_OFFSET}", -1) for name in mechanics.scene.contacts]
         self.gap_offsets = np.array(offsets, np.int64)
         self.scale_tape = ScaleTape(mechanics)
+        self._variable_sizes = VariableSizes(mechanics)
         laws = [parse(c.restitution or "0") for c in mechanics.scene.contacts.values()]
         bouncing = sum(bool(law.names) or law.to_sympy({}) != 0 for law in laws)
         self.far = FAR if bouncing < 2 else FAR_IN_TURN
@@ -193,8 +197,14 @@ class SceneNumbers:
             initial=initial,
             tolerances=dict(zip(KINDS, tolerances.tolist(), strict=True)),
             short=SHORT,
-            warnings=(*self.lint, *warnings, *implied, *_far(scales, self.far)),
-            sizes=scales.state(initial[self.scale_tape.size :]),
+            warnings=(
+                *self.lint,
+                *warnings,
+                *implied,
+                *_far(scales, self.far),
+                *_scaled_couples(self.scene, scales),
+            ),
+            sizes=self._variable_sizes.at(scales, values, initial),
             precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
@@ -301,6 +311,17 @@ def _far(scales: Scales, limit: float) -> Iterator[str]:
         yield (
             f"the scene is {scales.length:.3g} in size, and so far from the origin that "
             f"round-off of positions is {scales.rounding:.2g}; put the origin nearer"
+        )
+
+
+def _scaled_couples(scene: Scene, scales: Scales) -> Iterator[str]:
+    """Yield a warning if couples are too far from forces, and angular rates from speeds."""
+    turning = [name for name in scene.couplings if not scene.along_guide(name)]
+    if turning and not _SHORTEST <= scales.length <= 1.0 / _SHORTEST:
+        yield (
+            f"events of {', '.join(turning)} are inexact: tolerances of couples and angular rates "
+            f"are those of forces and speeds, and the scene is {scales.length:.3g} in size; write "
+            "lengths in a unit in which it is near 1"
         )
 
 

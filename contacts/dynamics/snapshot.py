@@ -143,7 +143,7 @@ class SignNumbers(NamedTuple):
     """Signs that are dry friction."""
 
     frictions: tuple[SignFriction, ...]
-    numbers: Array  # (k, 3): slip, its bias, limit
+    numbers: Array  # (k, 4): argument, slip, its bias, limit
     rows: Array  # (k, coordinates)
 
 
@@ -199,7 +199,11 @@ class SnapshotTape:
             mechanics.dense(row.jacobian for row in rows),
             pads,
             [limit for name in mechanics.scene.couplings for limit in mechanics.limits(name)],
-            [n for s in self.signs for n in (s.slip, s.bias, s.limit, *mechanics.dense([s.row]))],
+            [
+                number
+                for s in self.signs
+                for number in (s.argument, s.slip, s.bias, s.limit, *mechanics.dense([s.row]))
+            ],
         ]
         ends = accumulate(map(len, quantities), initial=0)
         self._slices = [slice(begin, end) for begin, end in pairwise(ends)]
@@ -253,8 +257,8 @@ class SnapshotTape:
         )
         no_pads = (0, 0), (0, len(self._pads))
         if self.signs:
-            rows = np.pad(signs.reshape(-1, 3 + n), no_pads)
-            whole = whole._replace(signs=SignNumbers(self.signs, rows[:, :3], rows[:, 3:]))
+            rows = np.pad(signs.reshape(-1, 4 + n), no_pads)
+            whole = whole._replace(signs=SignNumbers(self.signs, rows[:, :4], rows[:, 4:]))
         if self._pads:
             whole = self._padded(whole, pads)
         if not self.joint_names:
@@ -360,7 +364,8 @@ def sign_frictions(
     """Return the signs of speeds in the forces of a scene, where all are dry friction; else none.
 
     Forces ``-limit sign(s) ds/dv`` of rates of change s: where s is zero the force is any up to the
-    limit, as that of a locked coupling (Moreau 1988).
+    limit, as that of a locked coupling (Moreau 1988). So is that of a preload,
+    ``-limit sign(p) dp/dq``, at rest in the place p = 0.
 
     `known` are the values of what states of controllers set.
     """
@@ -370,18 +375,21 @@ def sign_frictions(
     names = dict(zip(mechanics.variables, map(sp.Symbol, mechanics.variable_names), strict=True))
     found = []
     for sign in sorted(set().union(*(f.atoms(sp.sign) for f in forces)), key=sp.default_sort_key):
-        (slip,) = sign.args
-        if not slip.has(*mechanics.v):
-            continue  # A switch of places or of time.
+        (argument,) = sign.args
         size = sp.Dummy("sign", real=True)
         effects = [sp.diff(force.xreplace({sign: size}), size) for force in forces]
+        is_rate = argument.has(*mechanics.v)
+        slip = argument if is_rate else mechanics.rate(argument)
         row = {i: by for i, v in enumerate(mechanics.v) if (by := sp.diff(slip, v)) != 0}
         limit = next((-effects[i] / by for i, by in row.items()), None)
-        kinked = slip.has(sp.sign, sp.Abs, sp.Max, sp.Min, *mechanics.controller_state.values())
-        if limit is None or kinked or limit.has(sp.sign, size):
+        kinked = argument.has(sp.sign, sp.Abs, sp.Max, sp.Min, *mechanics.controller_state.values())
+        if (
+            limit is not None
+            and not (kinked or limit.has(sp.sign, size))
+            and not any(sp.expand(e + limit * row.get(i, 0)) != 0 for i, e in enumerate(effects))
+        ):
+            name = to_text(sign.xreplace(names)).replace(" ", "")
+            found.append(SignFriction(name, argument, slip, mechanics.drift(slip), limit, row))
+        elif is_rate:
             return ()
-        if any(sp.expand(e + limit * row.get(i, 0)) != 0 for i, e in enumerate(effects)):
-            return ()
-        name = to_text(sp.sign(slip).xreplace(names)).replace(" ", "")
-        found.append(SignFriction(name, slip, mechanics.drift(slip), limit, row))
     return tuple(found)

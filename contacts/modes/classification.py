@@ -538,9 +538,10 @@ def _verdict(candidate: Candidate, tie: float) -> str:
 def _signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
     if snapshot.signs is None:
         return []
-    slips, _, limits = snapshot.signs.numbers.T
+    arguments, slips, _, limits = snapshot.signs.numbers.T
     slow = np.abs(slips) <= still_below * np.abs(snapshot.signs.rows).max(axis=1, initial=0.0)
-    found: list[int] = np.flatnonzero(slow & (limits > 0.0)).tolist()
+    there = (arguments == slips) | (arguments == 0.0)
+    found: list[int] = np.flatnonzero(slow & there & (limits > 0.0)).tolist()
     return found
 
 
@@ -553,9 +554,9 @@ def _laws_of(snapshot: Snapshot, which: Sequence[int]) -> tuple[ContactLaw, ...]
 def _with_signs(snapshot: Snapshot, which: Sequence[int]) -> Snapshot:
     """Return the snapshot with signs as its last couplings, and without their forces."""
     assert snapshot.signs is not None
-    slips, biases, limits = snapshot.signs.numbers[which].T
+    arguments, _, biases, limits = snapshot.signs.numbers[which].T
     rows, reduction = snapshot.signs.rows[which], snapshot.reduction
-    effect = np.sign(slips) * limits
+    effect = np.sign(arguments) * limits
     if reduction is None:
         return _add_couplings(snapshot, rows, biases, limits, effect)
     whole = _add_couplings(snapshot.unreduced, rows, biases, limits, effect)

@@ -19,7 +19,7 @@ from contacts.collision_detection.surfaces import GRAPH, LINE, PLATE
 from contacts.dynamics.conditions import undecided_couplings
 from contacts.dynamics.controllers import Controllers, controller
 from contacts.dynamics.parameters import with_sizes
-from contacts.dynamics.scales import Scales, check_range
+from contacts.dynamics.scales import Scales, VariableSizes, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.starting import check_limits
 from contacts.rigid_bodies.body_step import StepOptions
@@ -40,7 +40,7 @@ from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import physical_checks
 from contacts.scene.expansion import start_problem
-from contacts.scene.lint import lint
+from contacts.scene.lint import angles_in_degrees, lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
 from contacts.scene.scene import Scene
@@ -174,6 +174,7 @@ class BodyStepper(Stepper):
         self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics)
         self._constants = declared.constants()
+        self._variable_sizes = VariableSizes(mechanics)
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names = body_names(mechanics.scene, mechanics.scene.owners())
         self._surfaces = touchable_surfaces(mechanics.scene)
@@ -220,7 +221,7 @@ class BodyStepper(Stepper):
                 f"{size:.3g}; take {longest:.1g} or less"
             )
         free = np.full(len(bodies.numbers.inverse), FREE)
-        if self._scene.couplings and failure is None:
+        if self._scene.couplings:
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
         warnings = self._replaced_laws(setup)
@@ -315,7 +316,7 @@ class BodyStepper(Stepper):
             paradox=self._scene.paradox,
             capture=0.0,
             bands={},
-            sizes=scales.state(remembered),
+            sizes=self._variable_sizes.at(scales, values, initial),
             warnings=(
                 *self._warnings,
                 *implied_remarks(self._scene, bodies, every),
@@ -362,6 +363,7 @@ class BodyStepper(Stepper):
             every = bodies.moved(placed, np.stack([led[0], rates]))
             joints = closed_joints(scene, bodies.joints, every, _START_DEPTH * length, slow)
         except DeclarationProblem as problem:
+            problem.advice = next(angles_in_degrees(self._declared), problem.advice)
             raise start_problem(scene, problem, known) from None
         bodies = bodies._replace(joints=joints)
         check_containers(bodies, self._names, self._surfaces, owners, every[0])

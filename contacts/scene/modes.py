@@ -165,8 +165,9 @@ class SignFriction:
     """Dry friction by a sign, as expressions."""
 
     name: str  # As in formulas, without spaces.
-    slip: sp.Expr  # The rate in the sign.
-    bias: sp.Expr  # Its derivative where nothing accelerates.
+    argument: sp.Expr  # A rate, or a place where the force jumps.
+    slip: sp.Expr  # The rate in the sign, or of the place.
+    bias: sp.Expr  # The derivative of the slip where nothing accelerates.
     limit: sp.Expr
     row: Row = field(hash=False)  # Derivatives of the slip by the rates.
 
@@ -255,7 +256,7 @@ def share_of(
         spring = sp.Add(*(row[i] * y[i] for i in shared))
         # A sign on its bound has it in the equations of motion.
         side = {"upper": 1, "lower": -1}.get(zone, 0)
-        known[sp.sign(sign.slip)] = sp.Integer(-side)
+        known[sp.sign(sign.argument)] = sp.Integer(-side)
         for i in shared:
             balances[y[i]] += row[i] * spring if side == 0 else 0
         clearances = (side * spring - most,) if side else (most - spring, most + spring)

@@ -78,6 +78,8 @@ _LANDED = 2.0
 _BOXES, _NARROW = 256, 2.0**-32
 # Distance of friction from its bound that is round-off, relative to the normal force.
 _AT_BOUND = 1e-9
+# Friction below which the impulse of a slide is round-off beside the momentum.
+_LEAST_FRICTION = 1e-9
 _CODES = {state: code for code, state in STATES.items()}
 
 
@@ -688,8 +690,8 @@ class SceneStepper(Stepper):
                 continue
             check_place(self._scene, law.name, row[:3])
             if not law.coupling and self._scene.contacts[law.name].stiffness is None:
-                surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
-                check_start(surface, law, row[:3], near, near, slow)
+                slow = setup.tolerances["speed"]
+                check_start(self._scene, law, row[:3], near, near, slow)
                 warnings += hovering_warnings(self._scene, setup.scales, closed, [law.name], [row])
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T
         # A contact that could slide may have another motion as good.
@@ -734,8 +736,13 @@ class SceneStepper(Stepper):
         return codes, off, idle, tuple(warnings), first.solved[0]
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
-        """Yield a warning for each friction coefficient that is reduced."""
+        """Yield a warning for each friction coefficient that is reduced, or is round-off."""
         for law in setup.contacts:
             if law.cone_t * STEEPEST > law.cone_n and "free" in law.states and not law.coupling:
                 mu = math.inf if law.cone_n == 0.0 else law.cone_t / law.cone_n
                 yield f"contact {law.name!r}: friction {mu:g} is replaced by {1.0 / STEEPEST:g}"
+            elif 0.0 < law.cone_t < _LEAST_FRICTION * law.cone_n and not law.coupling:
+                yield (
+                    f"contact {law.name!r}: with friction {law.cone_t / law.cone_n:g} steps do not "
+                    "tell a slide from a pin; write 0"
+                )

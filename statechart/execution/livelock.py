@@ -20,7 +20,7 @@ JUMPS_AT_ONCE = 64
 
 JUMPS_NEAR = 1024
 """Limit of jumps within the round-off of an instant, with or without flows between them."""
-_ROUND_OFF = 4.0 * float(np.finfo(float).eps)
+_ROUND_OFF, _STALL = (k * float(np.finfo(float).eps) for k in (4.0, 64.0))
 
 SWITCHES = 512
 """Number of switches after which their pace is extrapolated, if it is steady over quarters."""
@@ -40,15 +40,15 @@ class Livelock:
         self._stalled: tuple[Clock, tuple[str, ...]] | None = None
         self._stalls = 0
 
-    def _stays(self, before: Clock, clock: Clock) -> bool:
+    def _stays(self, before: Clock, clock: Clock, round_off: float = _ROUND_OFF) -> bool:
         """Return whether two clocks are equal to round-off."""
-        return between(before, clock) <= _ROUND_OFF * max(abs(clock.high), self._scale)
+        return between(before, clock) <= round_off * max(abs(clock.high), self._scale)
 
     def stalled(self, clock: Clock, fired: tuple[str, ...]) -> bool:
         """Return whether a fall without a jump repeats at one instant; the first is a graze."""
         event, before = (clock, fired), self._stalled
-        same_time = before is not None and self._stays(before[0], clock)
-        # Time may advance by less than its round-off, and several margins fall in turn.
+        same_time = before is not None and self._stays(before[0], clock, _STALL)
+        # Time may advance by some round-off of a search, and several margins fall in turn.
         self._stalls = self._stalls + 1 if same_time else 0
         self._stalled = event
         return before == event or self._stalls > JUMPS_AT_ONCE

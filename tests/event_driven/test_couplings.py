@@ -15,6 +15,7 @@ from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import EventLoop
 from statechart.loading.load import interpret
+from statechart.running.runner import Runner
 
 ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy"])
 # Error of an event time: SciPy integrates to 1e-12.
@@ -1108,6 +1109,33 @@ stop: {time: 2}
     ((_, t),) = events(trace)
     assert t == pytest.approx(1.0, abs=1.1 * late)
     assert any("'pivot' slips up to" in warning for warning in trace.warnings) == (late > 1e-6)
+
+
+@pytest.mark.parametrize(("length", "warns"), [(1.0, 0), (1e6, 0), (1e-6, 0), (1e9, 1), (1e-9, 1)])
+@pytest.mark.parametrize("engine", ["auto", "impulse"])
+def test_couples_far_from_the_forces_of_a_scene_in_size_warn(
+    engine: str, length: float, warns: int
+) -> None:
+    text = """
+kind: scene
+name: roller
+parameters: {l: 1}
+gravity: 9.81*l
+bodies: {b: {mass: 1, inertia: 0.005*l**2, start: {y: 0.1*l, dx: l, dangle: -10}}}
+surfaces: {s: {height: 0}}
+contacts:
+  f:
+    point: {body: b}
+    radius: 0.1*l
+    surface: s
+    friction: 0.5
+    restitution: 0
+    rolling_resistance: 0.01*l
+stop: {time: 0.2}
+"""
+    step = 1e-3 if engine == "impulse" else None
+    trace = Runner(read_text(text), engine=engine, step=step).run({"l": length}).trace
+    assert sum("f_rolling are inexact" in warning for warning in trace.warnings) == warns
 
 
 STOPPING = """

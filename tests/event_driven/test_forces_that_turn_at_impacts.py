@@ -69,7 +69,19 @@ def test_a_lift_that_jumps_where_a_slide_starts_is_seen_or_reported() -> None:
     assert result.trace.message.endswith(advice)
 
 
-def test_a_position_at_which_a_force_jumps_beyond_friction_is_reported() -> None:
-    text = FALLING.replace("START", "0").replace("FORCE", '["9*sign(b.x)", 0]')
+# The second force reaches friction at one side only, while the body rests.
+@pytest.mark.parametrize("force", ["9*sign(b.x)", "3*sin(time) + 4*sign(b.x)"])
+def test_a_position_at_which_a_force_jumps_beyond_friction_is_reported(force: str) -> None:
+    text = FALLING.replace("START", "0").replace("FORCE", f'["{force}", 0]')
     result = run(read_text(text), engine="taylor", throw=False)
     assert result.trace.message.endswith("a sign jumps there: write a state for each side")
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_preload_holds_a_body_in_its_place_beside_friction(engine: str) -> None:
+    # A centring spring with a preload of 4 N, and friction of at most 5 N: 10 t - 9 moves it.
+    text = FALLING.replace("START", "0").replace("FORCE", '["10*time - 4*sign(b.x)", 0]')
+    result = run(read_text(text), engine=engine)
+    assert [(jump.cause, jump.target) for jump in result.trace.jumps] == [("slip", ("slide+",))]
+    assert result.trace.jumps[0].t == pytest.approx(0.9, rel=1e-11)
+    assert result.trace.final[[0, 2]] == pytest.approx([10 * 0.6**3 / 6, 10 * 0.6**2 / 2], rel=1e-9)

@@ -105,6 +105,15 @@ def test_infinite_friction_sticks_with_a_warning(capsys):
     assert report["modes_built"] == 0
 
 
+def test_friction_within_round_off_warns():
+    found = {
+        mu: run("toppling_stick", parameters={"mu": mu}, engine="impulse", step=1e-3, until=1)
+        for mu in (0.0, 1e-12, 1e-6)
+    }
+    warned = [any("write 0" in text for text in one.warnings) for one in found.values()]
+    assert warned == [False, True, False]
+
+
 def test_a_point_mass_has_a_small_inertia_with_a_warning():
     exact = run("toppling_stick", parameters={"I_G": 0})
     found = run("toppling_stick", parameters={"I_G": 0}, engine="impulse", step=1e-3)
