@@ -307,7 +307,10 @@ def _body_mode(
         near = above <= LEFT * h * rate_error and rate <= rate_error
         if presses:
             _remember_landing(numbers, warm, space, i, sizes[m, 0], h)
-        if not (near and (presses or (shown != FREE and not active.hit[i]))):
+        # Forces of other contacts alone may press it: nothing then tells how near it is.
+        pressed_on = presses and not active.hit[i]
+        closed = presses or (shown != FREE and not active.hit[i])
+        if not (pressed_on or (near and closed)):
             continue
         which[m] = i
         _write_cone(numbers, active, i, 0.0, cones[m])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import statechart
 from contacts.rigid_bodies.body_stepper import bodies_automaton
 from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.rigid_bodies.mechanics import BodyMechanics
@@ -676,3 +677,38 @@ def test_a_led_body_that_collides_with_nothing_may_be_the_end_of_a_joint(joined:
     more = "joints: {j: {point: {body: bob, at: [0, 0.5]}, to: {body: pivot}}}" if joined else ""
     found = _run(bodies, law, more, until=0.01).trace.warnings
     assert any("pivot: it collides with nothing" in text for text in found) != joined
+
+
+PUSHED = """
+kind: scene
+name: pushed
+gravity: 9.81
+bodies:
+  box: {mass: 1, inertia: 0.005, start: {y: 0.1, x: 0.2}, shape: {polygon: SQUARE}}
+  pusher: {position: [0.5*time - back, 0.1], shape: {polygon: [[-0.05, -0.05], [0.05, -0.05],
+    [0.05, 0.05], [-0.05, 0.05]]}}
+surfaces: {floor: {height: 0}}
+collisions: {a: {bodies: [box, pusher], surfaces: [floor], friction: 0.3, restitution: 0}}
+regions:
+  drive:
+    variables: {back: 0}
+    initial: on
+    states: {on: {}, off: {flows: {back: 1}}}
+    transitions: [{name: full, from: on, to: off, guard: box.x >= 0.4}]
+stop: {time: 1}
+settings: {engine: impulse}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-2, 1e-3, 5e-4, 1e-4])
+def test_a_box_sticks_to_what_pushes_it_along_a_floor_until_that_retreats(step):
+    """Only the friction of the floor presses it on: the free acceleration there is zero."""
+    square = "[[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]"
+    trace = statechart.run(read_text(PUSHED.replace("SQUARE", square)), step=step).trace
+    events = [(jump.region, jump.cause) for jump in trace.jumps]
+    assert events == [
+        ("box", "touchdown"), ("box", "impact"), ("drive", "full"), ("box", "slip"),
+        ("box", "stick"),
+    ]  # fmt: skip
+    times = [jump.t for jump in trace.jumps]
+    assert times == pytest.approx([0, 0.1, 0.5, 0.5, 0.5 + 0.5 / (0.3 * 9.81)], abs=step)
