@@ -506,6 +506,10 @@ def test_base_scene_of_the_mistakes_is_valid() -> None:
     [
         ("angle: 0.3", "angle: 30", "bodies.rod.start.angle: 30 radians are 4.77 turns; of degrees "
          "write 30*pi/180"),
+        ("surfaces:", "joints: {j: {point: {body: rod}, to: [0, h], limits: [-1, 30]}}\nsurfaces:",
+         "joints.j.limits: 30 radians are 4.77 turns; of degrees write 30*pi/180"),
+        ("surfaces:", "  arm: {mass: m, inertia: 1, position: [0, 3], angle: q}\n"
+         "coordinates: {q: {start: 45}}\nsurfaces:", "coordinates.q.start: 45 radians are 7"),
         ("angle: 0.3", "angle: -m", ""),
         ("m: 1, L: 0.5", "m: 1, L: 0.5, t0: 45", ""),
         ("angle: 0.3", "angle: h",
