@@ -114,8 +114,8 @@ def open_motion_warning(names: Iterable[str], time: float) -> str:
 def implied_joints(names: Iterable[str]) -> str:
     """Return the message on redundant joints, from the names of their rows."""
     return (
-        f"other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the motion is "
-        "determined, the shares of the forces are not"
+        f"coordinates or other joints imply {' and '.join(map(repr, dict.fromkeys(names)))}: the "
+        "motion is determined, the shares of the forces are not"
     )
 
 

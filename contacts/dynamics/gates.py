@@ -7,9 +7,10 @@ gap opens. Certificates (`statechart.formulas.condition`) select the margins tha
 
 from __future__ import annotations
 
+import itertools
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -117,6 +118,10 @@ class Gate:
             value = atom.margin.xreplace(values)
             if atom.is_end:
                 return Max(value, ignored[atom.words]) if atom.words in ignored else value
+            pieces = ([*sides, (piece, atom.closed)] for sides, piece in _pieces(value))
+            return Max(*(Min(*(shifted(*part) for part in parts)) for parts in pieces))
+
+        def shifted(value: sp.Expr, closed: bool) -> sp.Expr:
             moves = [
                 abs(derivative(value, symbol)) * sizes[symbol]
                 for symbol in sizes
@@ -132,9 +137,34 @@ class Gate:
                 )
             ]
             shift = sp.Add(sp.Float(_ZERO_SHIFT), RESIDUAL_MOTION * sp.Add(*moves))
-            return value + shift if atom.closed else value - shift
+            # A constant of the margin would absorb the shift.
+            return sp.Add(value, shift if closed else -shift, evaluate=False)
 
         return margin(self.root)
+
+
+def _pieces(margin: sp.Expr) -> Iterator[tuple[list[tuple[sp.Expr, bool]], sp.Expr]]:
+    """Yield the pieces of a margin between branch cuts of `atan2`.
+
+    Each comes with functions that are >= 0 in its domain, and whether it includes 0. A margin that
+    jumps at a cut would rise after it, as that of a contact at the kink of a valley does.
+    """
+    choices = []
+    for angle in sp.ordered(margin.atoms(sp.atan2)):
+        y, x = angle.args
+        if x.free_symbols and not x.is_nonnegative:
+            behind, left = sp.atan2(-y, -x), (-x, False)
+            upper, lower = [left, (y, True)], [left, (-y, False)]
+            choices.append(
+                [
+                    ([(x, True)], angle, angle),
+                    (upper, angle, behind + sp.pi),
+                    (lower, angle, behind - sp.pi),
+                ]
+            )
+    for chosen in itertools.product(*choices):
+        sides = [side for own, _, _ in chosen for side in own]
+        yield sides, margin.xreplace({angle: piece for _, angle, piece in chosen})
 
 
 def gate_of(

@@ -15,6 +15,7 @@ from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.scene.expansion import Reach, Stop, limit_contacts, start_problem
+from contacts.scene.lint import angles_in_degrees
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
 from contacts.solvers.dependence import dependent_rows, least_squares
@@ -101,7 +102,7 @@ def check_place(scene: Scene, name: str, motion: Sequence[float]) -> None:
 
 
 def check_start(
-    surface: Surface,
+    scene: Scene,
     law: ContactLaw,
     motion: Sequence[float],
     allowed_penetration: float,
@@ -114,6 +115,7 @@ def check_start(
     """
     gap, gap_rate, slip = motion
     if gap < -allowed_penetration:
+        surface = scene.surface_of(law.name)
         loc: tuple[str, str] = ("contacts", law.name)
         gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
         problem = f"contact {law.name!r} starts inside its surface, {-gap:.6g} deep"
@@ -124,7 +126,8 @@ def check_start(
         elif isinstance(surface, Stop):
             loc, advice = ("joints", law.name.rpartition("_")[0]), "change the start, or the limits"
             problem = f"joint {loc[1]!r} starts beyond a limit of its angle"
-        raise DeclarationProblem(problem, advice=advice, loc=loc)
+        degrees = next(angles_in_degrees(scene), advice)
+        raise DeclarationProblem(problem, advice=degrees, loc=loc)
     if "free" in law.states:
         return
     slips = abs(slip) > 2.0 * speed_tolerance and gap_rate >= -speed_tolerance
@@ -184,6 +187,7 @@ def check_joints(
         _check_joints(mechanics, snapshots, setup, allowed)
     except DeclarationProblem as problem:
         values = dict(zip(mechanics.parameters.names, setup.values.tolist(), strict=True))
+        problem.advice = next(angles_in_degrees(mechanics.scene), problem.advice)
         raise start_problem(mechanics.scene, problem, values) from None
 
 

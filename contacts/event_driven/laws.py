@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
+from itertools import islice
 
 import numpy as np
 
@@ -150,10 +151,9 @@ class SceneLaws:
         scene = self._mechanics.scene
         for name, contact in zip(scene.frictional, snapshot.contacts, strict=True):
             check_place(scene, name, contact[:5])
-        for name, law, contact in zip(
-            scene.contacts, setup.contacts, snapshot.contacts, strict=False
-        ):
-            check_start(scene.surface_of(name), law, contact[:3], depth, near, slow)
+        declared = islice(setup.contacts, len(scene.contacts))
+        for law, contact in zip(declared, snapshot.contacts, strict=False):
+            check_start(scene, law, contact[:3], depth, near, slow)
         check_limits(self._names[self._count :], snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]
         touching = [c.gap <= near and abs(c.gap_rate) <= slow for c in snapshot.contacts]

@@ -40,7 +40,7 @@ from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import physical_checks
 from contacts.scene.expansion import start_problem
-from contacts.scene.lint import lint
+from contacts.scene.lint import angles_in_degrees, lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
 from contacts.scene.scene import Scene
@@ -221,7 +221,7 @@ class BodyStepper(Stepper):
                 f"{size:.3g}; take {longest:.1g} or less"
             )
         free = np.full(len(bodies.numbers.inverse), FREE)
-        if self._scene.couplings and failure is None:
+        if self._scene.couplings:
             soon = _SOON * setup.scales.length / setup.scales.speed
             free = np.append(free, bodies.detect(setup.initial, 0.0, soon).couplings)
         warnings = self._replaced_laws(setup)
@@ -363,6 +363,7 @@ class BodyStepper(Stepper):
             every = bodies.moved(placed, np.stack([led[0], rates]))
             joints = closed_joints(scene, bodies.joints, every, _START_DEPTH * length, slow)
         except DeclarationProblem as problem:
+            problem.advice = next(angles_in_degrees(self._declared), problem.advice)
             raise start_problem(scene, problem, known) from None
         bodies = bodies._replace(joints=joints)
         check_containers(bodies, self._names, self._surfaces, owners, every[0])

@@ -263,21 +263,9 @@ def closed_joints(
     """Check that joints hold at the start; return them closed to round-off.
 
     Positions declared with eight digits are open by 1e-8, inconsistently in redundant joints: no
-    motion closes them all.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its bodies one by one.
-    moved : (2, b, 3)
-        Poses and rates of all bodies.
-    near, slow : float
-        Tolerances of distances and speeds.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first joint that is open, or whose points move apart.
+    motion closes them all. `moved` (2, b, 3) are poses and rates of all bodies, which `scene` has
+    one by one; `near` and `slow` are tolerances. Raises `DeclarationProblem` at the first joint
+    that is open, or whose points move apart.
     """
     points, sizes = joints.points.copy(), joints.sizes.copy()
     _, ends, speeds = joint_ends(joints, moved)

@@ -37,7 +37,7 @@ class Coupling(Part):
     OTHER_WORDS: ClassVar = {
         "torque moment friction capacity max_torque": "limit",
         "body": "bodies: [arm]",
-        "flange_a flange_b": "bodies: [a, b]",
+        "flange_a flange_b between": "bodies: [a, b]",
         "engaged active when condition": "enabled",
         "ratio": "coordinates: {q: {}}, and bodies with angle: q and angle: -q/2",
         "static kinetic peak mu mue_pos fn_max": (

@@ -90,7 +90,7 @@ class SceneFields(Declaration):
     OTHER_WORDS: ClassVar = {
         **Declaration.OTHER_WORDS,
         "g": "gravity",
-        "controller controllers": (
+        "controller controllers inputs": (
             "controls: {u: 0}, and regions: {NAME: {initial: ..., states: ...}} that set it"
         ),
         "body links worldbody objects": "bodies",

@@ -116,7 +116,7 @@ class Joint(Part):
         "fixed": "angle: held",
         "type": "what it holds: to: [0, 0], angle: held, rope: L or rod: L",
         "child body body_b body2": "point: {body: arm, at: [-L, 0]}",
-        "parent body_a body1 origin anchor between bodies": (
+        "parent body_a body1 origin anchor pos between bodies": (
             "to: [0, 0], or to: {body: rod, at: [0, L]}"
         ),
         "break_force breaking_force max_force strength": 'enabled: "hypot(JOINT.X, JOINT.Y) <= F"',

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import combinations
 
@@ -50,10 +50,8 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
                 f"gravity: {value:g} acts upwards, as it is the acceleration downwards; "
                 f"write {-value:g}"
             )
-    for name, body in scene.bodies.items():
-        value = _constant_value(parse(body.start.get("angle", 0)).root, scene.parameters)
-        if abs(value) > _TURN:
-            yield f"bodies.{name}.start.angle: {_degrees(value)}"
+    yield from angles_in_degrees(scene)
+    yield from _limits_in_degrees(scene)
     yield from _static_by_hand(scene)
     if scene.collisions:
         yield from _idle(scene)
@@ -67,6 +65,34 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
             value = _constant_value(call.arguments[0], {})
             if abs(value) > _TURN:
                 yield f"{call.function}({value:g}): {_degrees(value)}"
+
+
+def angles_in_degrees(scene: SceneFields) -> Iterator[str]:
+    """Yield warnings about angles at the start beyond a turn."""
+    angles: list[tuple[str, FormulaText]] = [
+        (f"bodies.{name}.start.angle", body.start["angle"])
+        for name, body in scene.bodies.items()
+        if "angle" in body.start
+    ]
+    turning = {body.angle for body in scene.bodies.values()}
+    angles += [
+        (f"coordinates.{name}.start", coordinate.start)
+        for name, coordinate in scene.coordinates.items()
+        if name in turning
+    ]
+    yield from _beyond_a_turn(scene, angles)
+
+
+def _limits_in_degrees(scene: SceneFields) -> Iterator[str]:
+    for name, joint in scene.joints.items():
+        yield from _beyond_a_turn(scene, [(f"joints.{name}.limits", x) for x in joint.limits or ()])
+
+
+def _beyond_a_turn(scene: SceneFields, angles: Iterable[tuple[str, FormulaText]]) -> Iterator[str]:
+    for place, text in angles:
+        value = _constant_value(parse(text).root, scene.parameters)
+        if _TURN < abs(value) < math.inf:
+            yield f"{place}: {_degrees(value)}"
 
 
 def _static_by_hand(scene: SceneFields) -> Iterator[str]:

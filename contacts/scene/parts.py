@@ -54,6 +54,12 @@ _DeclaredMode = Annotated[
 class Coordinate(Part):
     """A generalised coordinate that positions of bodies are formulas of."""
 
+    OTHER_WORDS: ClassVar = {
+        "velocity vel speed": "rate",
+        "initial init value": "start",
+        "damping friction": "forces: {drag: {body: rod, force: [-c*rod.dx, 0]}}",
+    }
+
     start: FiniteConstantText = declare(
         "Value at the start.", "pi/6", unit="length, or rad", default=0
     )
@@ -73,13 +79,13 @@ class Body(Part):
     OTHER_WORDS: ClassVar = {
         "m": "mass",
         "weight": "mass; its weight is mass times gravity",
-        "I J moment_of_inertia": "inertia",
+        "I J Izz moment_of_inertia": "inertia",
         "count number n": "copies",
         "velocity vel linear_velocity": "start: {dx: ..., dy: ...}",
         "angular_velocity omega": "start: {dangle: ...}",
         "radius": "shape: {disc: r}, and radius: r of its contacts",
         "damping linear_damping drag": "forces: {drag: {body: rod, force: [-c*rod.dx, -c*rod.dy]}}",
-        "pos origin": "start: {x: ..., y: ...}",
+        "pos origin initial init": "start: {x: ..., y: ...}",
         "geom geometry collision visual collider fixtures size": (
             "shape: [{disc: r}], or a polygon, and collisions for how it rebounds"
         ),
@@ -297,7 +303,7 @@ class Surface(Part):
         ),
         "arc": "circle: [x, y], radius: r; contacts end where enabled: RELATION fails",
         "velocity": "displacement: [v*time, 0]",
-        "x": "line: [[1, -1], [1, 1]], a wall; the solid is on the right of its direction",
+        "x wall": "line: [[1, -1], [1, 1]], a wall; the solid is on the right of its direction",
         "one_way": "enabled: ball.dy <= 0 of the contact",
         "pivot axis": "turn: ANGLE, about the origin or the point `through` of an incline",
     }

@@ -690,8 +690,8 @@ class SceneStepper(Stepper):
                 continue
             check_place(self._scene, law.name, row[:3])
             if not law.coupling and self._scene.contacts[law.name].stiffness is None:
-                surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
-                check_start(surface, law, row[:3], near, near, slow)
+                slow = setup.tolerances["speed"]
+                check_start(self._scene, law, row[:3], near, near, slow)
                 warnings += hovering_warnings(self._scene, setup.scales, closed, [law.name], [row])
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T
         # A contact that could slide may have another motion as good.

@@ -1,4 +1,4 @@
-"""Switching surfaces of abs, sign, min, max and sat in a mode (Filippov 1988).
+"""Switching surfaces of abs, sign, min, max, sat and atan2 in a mode (Filippov 1988).
 
 A switch has a switching function sigma and a sign: +1 or -1 on the sides of the surface sigma = 0;
 in a sliding mode the convex combination of both vector fields that keeps sigma = 0. Modes are built
@@ -30,7 +30,7 @@ MAX_ORDER = 2
 """Largest relative degree of a switching function with respect to its sign."""
 
 _SHOWN = 80  # characters of a switching function in a name
-_KINKS = (sp.Abs, sp.sign, sp.Max, sp.Min)
+_KINKS = (sp.Abs, sp.sign, sp.Max, sp.Min, sp.atan2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +225,7 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
             needed |= e.free_symbols
     read = {symbol: reader.read(e) for symbol, e in mode.definitions if symbol in needed}
     rates = tuple(reader.read(rate) for rate in mode.rates)
+    reader.cuts = False
     margins = tuple(
         replace(m, expression=reader.read(m.expression)) if m.kind == "plain" else m
         for m in mode.margins
@@ -266,7 +267,7 @@ class _Reader:
         self._places: dict[sp.Expr, int] = {}
         self.signs: list[sp.Symbol] = []
         self.functions: list[sp.Expr] = []
-        self.adds = True
+        self.adds = self.cuts = True
 
     def _rewritten(self, node: sp.Expr) -> sp.Expr:
         """Return a formula with signs instead of nonsmooth functions."""
@@ -283,6 +284,8 @@ class _Reader:
             if sign is None:
                 return node.func(*arguments)
             return sign * arguments[0] if isinstance(node, sp.Abs) else sign
+        if isinstance(node, sp.atan2):
+            return self._angle(*arguments)
         # Constants last, for simpler switching functions.
         ordered = sorted(arguments, key=sp.default_sort_key)
         extremum, *rest_of_arguments = sorted(ordered, key=self._moves, reverse=True)
@@ -294,6 +297,18 @@ class _Reader:
                 sign = -sign
             extremum = (1 + sign) / 2 * extremum + (1 - sign) / 2 * other
         return extremum
+
+    def _angle(self, y: sp.Expr, x: sp.Expr) -> sp.Expr:
+        """Return ``atan2(y, x)``, for negative x of the opposite direction: its cut is a switch."""
+        angle = sp.atan2(y, x)
+        if not self.cuts or x.is_nonnegative:
+            return angle
+        ahead, side = self._sign(x), self._sign(y)
+        if ahead is None or side is None:
+            return angle
+        # Where y stays zero, with the sign 0, the angle of a negative x is pi.
+        behind = sp.atan2(-y, -x) + sp.pi * (1 + side - side**2)
+        return (1 + ahead) / 2 * angle + (1 - ahead) / 2 * behind
 
     def _sign(self, function: sp.Expr) -> sp.Expr | None:
         """Return the sign of a switching function up to orientation; None if it is not added."""

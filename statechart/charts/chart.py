@@ -67,12 +67,14 @@ class Chart(Declaration):
 
     OTHER_WORDS: ClassVar = {
         **Declaration.OTHER_WORDS,
-        "datamodel data locals vars": "variables: {x: 0}",
+        "datamodel data locals state vars": "variables: {x: 0}",
         "controls inputs": "variables: {u: 0}, and entry: {u: 1} in states",
         "clocks timers": "variables: {c: 0} with flows: {c: 1}, or after: T",
         "equations initial_equation": "variables: {x: 0}, and flows of states",
         "events": "a transition; its name is an event that other regions hear",
-        "initial states transitions": "regions: {NAME: {initial: ..., states: ...}}",
+        "initial locations modes states transitions": (
+            "regions: {NAME: {initial: ..., states: ...}}"
+        ),
     }
 
     kind: Literal["chart"] = declare("Kind of the document.", "chart", default="chart")

@@ -27,7 +27,7 @@ class Transition(fields.Part):
         "when if cond condition": "guard",
         "event trigger": "on: REGION.EVENT, or guard: RELATION",
         "reset reinit action actions assign do effect set": "updates: {VARIABLE: FORMULA}",
-        "timeout delay": "after",
+        "at timeout delay": "after",
         "priority": "the transitions in their order: of those that are due the first is taken",
         "send raise emit broadcast": (
             "in another region on: REGION.NAME; the name of a transition is its event"
@@ -214,7 +214,10 @@ class BaseRegion(fields.Part):
     """States, exactly one of them active, and the transitions between them."""
 
     OTHER_WORDS: ClassVar = {
+        "edges jumps": "transitions",
         "history": "states: {NAME: {history: deep}} beside regions",
+        "modes locations": "states",
+        "start": "initial",
         "parallel type": "regions: {NAME: ...} in a state",
     }
 

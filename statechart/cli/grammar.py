@@ -92,7 +92,7 @@ _OPTIONS = {
     **dict.fromkeys(("--dt", "--timestep", "--time-step"), "--step"),
     **dict.fromkeys(("--tol", "--rtol", "--atol"), "--tolerance"),
     **dict.fromkeys(("--solver", "--integrator"), "--engine"),
-    **dict.fromkeys(("--param", "--parameter", "-p"), "--set"),
+    **dict.fromkeys(("--param", "--parameter", "--parameters", "-p"), "--set"),
     **dict.fromkeys(("--gif", "--film", "--video", "--movie"), "--animate"),
     **dict.fromkeys(("--out", "--plot", "--figure", "--format"), "--output"),
     "--fps": "--speed",

@@ -25,6 +25,23 @@ PATIENCE = 0.9
 PAGES = (".html", ".htm")
 """Suffixes of a page."""
 _STORE, _FILE = ".zarr", ".nc"
+_FILES = frozenset(
+    [
+        ".csv",
+        ".gif",
+        ".htm",
+        ".html",
+        ".json",
+        ".mp4",
+        ".nc",
+        ".pdf",
+        ".png",
+        ".svg",
+        ".txt",
+        ".xlsx",
+        ".yaml",
+    ]
+)
 
 
 def check_folder(output: str | None) -> None:
@@ -38,6 +55,9 @@ def check_folder(output: str | None) -> None:
         raise DeclarationError(f"--output {output} exists already", advice="name another store")
     if why := obstacle(path):
         raise DeclarationError(f"--output {output}: {why}", advice="name another folder")
+    if path.suffix.lower() in _FILES and not path.is_dir():
+        message = f"--output {output}: the results are several files, in a folder"
+        raise DeclarationError(message, advice=f"write --output {Path(output).with_suffix('')}")
 
 
 def check_file(

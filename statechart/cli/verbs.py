@@ -6,6 +6,7 @@ import argparse
 import functools
 import gc
 import json
+import re
 import shutil
 import sys
 import tempfile
@@ -433,6 +434,9 @@ def new(arguments: argparse.Namespace) -> int:
     name = arguments.name
     if not NAME.fullmatch(name) or name in RESERVED or not isinstance(resolve(name), str):
         advice = "letters, digits and _, not beginning with a digit, no word of formulas or YAML"
+        meant = re.sub(r"\W", "_", name.removesuffix(".yaml"), flags=re.ASCII)
+        if meant != name and NAME.fullmatch(meant):
+            advice = f"write statechart new {meant}"
         raise DeclarationError(f"{name!r} cannot be the name of a model", advice=advice)
     path = Path(f"{name}.yaml")
     if path.exists() or path.is_symlink():

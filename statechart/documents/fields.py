@@ -265,10 +265,15 @@ def check_all(checks: Iterable[ValueCheck], values: Mapping[str, float]) -> None
 
 KINKED = ("abs", "sign", "min", "max", "sat")
 """Nonsmooth functions."""
+SWITCHING = (*KINKED, "atan2")
+"""Functions with switching surfaces: kinks and branch cuts."""
+_WAVES = ("sin", "cos")
+_FOLDING = {"asin": _WAVES, "acos": _WAVES, "atan2": _WAVES, "atan": ("tan",)}
+"""Inverse function -> functions whose argument it folds back."""
 
 
 def has_switch(
-    text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
+    text: str | int | float, variables: Collection[str], functions: Collection[str] = SWITCHING
 ) -> bool:
     """Return whether a formula contains one of `functions` of any of `variables`."""
     calls = tree.calls_in(parse(text).root, functions)
@@ -286,10 +291,15 @@ def check_smooth(
 ) -> None:
     """Check that a formula is smooth in `variables`.
 
-    `lacks` and `advice` complete the message. With `roots` the root of a square counts as a kink.
-    Raises `DeclarationProblem` at the first kink.
+    Inverses of periodic functions, as ``asin(sin(time))``, have kinks or jumps. `lacks` and
+    `advice` complete the message. With `roots` the root of a square counts as a kink. Raises
+    `DeclarationProblem` at the first kink.
     """
-    for call in tree.calls_in(parse(text).root, KINKED):
+    for call in tree.calls_in(parse(text).root, (*KINKED, *_FOLDING)):
+        inner = _FOLDING.get(call.function, ())
+        inside = (isinstance(part, tree.Call) and part.function in inner for part in call.arguments)
+        if inner and not all(inside):
+            continue
         switched = {name.name for name in tree.names_in(call)}.intersection(variables)
         if switched:
             message = (

@@ -53,6 +53,7 @@ YAML_HINTS: Mapping[str, str] = {
     "mapping values are not allowed": "write key: value, and indent the keys of one mapping alike; "
     "text with a colon stands in quotes",
     "found character '|' that cannot start": "write abs(...)",
+    "found character '>' that cannot start": "write `not` for !, and put text with > in quotes",
     "found character '%' that cannot start": "write a comment after #",
     "found character '`' that cannot start": "put text in quotes",
     "found character '@' that cannot start": "put text in quotes",
@@ -135,7 +136,9 @@ def example(
 
 
 def one_value(loc: Sequence[str | int], value: object) -> str:
-    """Return advice on a list in the place of one value, or an empty text."""
+    """Return advice on a list in the place of one value, or on one in quotes, or nothing."""
+    if isinstance(value, str) and value[:1] in ("[", "{"):
+        return "remove the quotes"
     if not (isinstance(value, list | tuple) and value):
         return ""
     if len(loc) == 2 and loc[0] == "parameters":

@@ -103,6 +103,7 @@ class Value(Part):
 
     OTHER_WORDS: ClassVar = {
         "when": "at",
+        "unit units": "units: {NAME: m}, beside outputs",
         "every times sample": "--samples after `run`, for a table over time",
     }
 

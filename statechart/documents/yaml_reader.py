@@ -41,6 +41,7 @@ _OTHERS = {
     b"\xff\xd8\xff": "a picture",
     b"PK\x03\x04": "a ZIP archive, or a document of an office program",
     b"\x1f\x8b": "a compressed file",
+    b"<": "XML or HTML, such as URDF, SDF or MJCF",
 }
 
 

@@ -46,7 +46,7 @@ _STEEP = 1e6
 # Factor by which the tolerance of an undecidable margin is widened, and its limit.
 _WIDENING, _MAX_WIDENING = 16.0, 1e4
 # Distance in time, in its last digits, at which enclosures tell a time from a sign's change.
-_PASSED = 8.0
+PASSED = 8.0
 # First horizon of a flow without a scale, whose powers do not overflow.
 FARTHEST = 1e12
 
@@ -329,7 +329,7 @@ class Execution:
     def _pass_sign_changes(self) -> None:
         """Advance the clock by round-off where a sign of the time changes: forces jump there."""
         signs, time = self._signs_of_time, self.clock.high
-        step = _PASSED * math.ulp(time)
+        step = PASSED * math.ulp(time)
         if signs is not None and time > 0.0:
             sides = [signs.values(self.state, self.setup.values, time + d) for d in (-step, step)]
             if (sides[0] * sides[1] <= 0.0).any():

@@ -1,8 +1,8 @@
 """Boolean trees of *and* and *or* over smooth atoms ``f <= 0`` and ``f < 0``.
 
-`min`, `max` and `abs` become *and* and *or*: ``max(a, b) + c <= 0`` is ``a + c <= 0 and b + c <=
-0``. The sign of an unknown factor is a further atom. Inside another function, ``g(max(a, b)) <= 0``
-is ``a >= b and g(a) <= 0 or b >= a and g(b) <= 0``.
+`min`, `max`, `abs` and `sign` become *and* and *or*: ``max(a, b) + c <= 0`` is ``a + c <= 0 and b +
+c <= 0``. The sign of an unknown factor is a further atom. Inside another function, ``g(max(a, b))
+<= 0`` is ``a >= b and g(a) <= 0 or b >= a and g(b) <= 0``.
 
 A certificate is a set of atoms that decide the truth of the tree, like the watched literals of SAT
 solvers (Moskewicz et al., "Chaff", 2001): one false part of a false *and*, all parts of a false
@@ -66,6 +66,14 @@ class Atom:
 
     expression: sp.Expr
     strict: bool
+
+    @property
+    def constant(self) -> bool | None:
+        """Its truth if its expression is a number, else None."""
+        if not self.expression.is_number:
+            return None
+        value = float(self.expression)
+        return value < 0.0 or (value == 0.0 and not self.strict)
 
 
 def fold(
@@ -285,7 +293,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
 
     def check(count: int, most: int) -> None:
         if count > most:
-            message = f"without min, max and abs it has more than {MAX_ATOMS} comparisons"
+            message = f"without min, max, abs and sign it has more than {MAX_ATOMS} comparisons"
             advice = "write fewer of them in one relation; each abs in a sum doubles them"
             source.fail(message, advice=advice)
 
@@ -306,10 +314,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
         return leaves[tree]
 
     def leaf(tree: Atom) -> Any:
-        if tree.expression.is_number:
-            value = float(tree.expression)
-            return value < 0.0 or (value == 0.0 and not tree.strict)
-        return placed(tree)
+        return placed(tree) if tree.constant is None else tree.constant
 
     root = split(tree)
     if isinstance(root, bool):
@@ -337,7 +342,7 @@ def _flatten(kind: type[And] | type[Or], parts: tuple[Any, ...]) -> Any:
 
 
 def _split(atom: Atom) -> Any:
-    """Return an atom as a tree without its outermost min, max or abs; itself if smooth."""
+    """Return an atom as a tree without its outermost min, max, abs or sign; itself if smooth."""
     import sympy
 
     expression, strict = atom.expression, atom.strict
@@ -350,13 +355,15 @@ def _split(atom: Atom) -> Any:
     }
     if uncut:
         return Atom(expression.xreplace(uncut), strict)
-    corners = expression.atoms(sympy.Max, sympy.Min, sympy.Abs)
+    corners = expression.atoms(sympy.Max, sympy.Min, sympy.Abs, sympy.sign)
     corners = {corner for corner in corners if corner.free_symbols}
-    bare = _without_root(atom) or _without_sign(atom)
+    bare = _without_root(atom)
     if bare is not None or not corners:
         return bare or atom
     outermost = (c for c in corners if not any(c is not o and o.has(c) for o in corners))
     corner = min(outermost, key=sympy.default_sort_key)
+    if isinstance(corner, sympy.sign):
+        return _without_sign(atom, corner)
     largest = not isinstance(corner, sympy.Min)
     arguments = corner.args
     if isinstance(corner, sympy.Abs):
@@ -407,24 +414,24 @@ def _without_root(atom: Atom) -> Any:
     return None
 
 
-def _without_sign(atom: Atom) -> Any:
-    """Return ``sign(u) <= 0`` as ``u <= 0``, ``sign(u)**2 <= 0`` as ``u <= 0 <= u``, else None.
+def _without_sign(atom: Atom, sign: sp.Expr) -> Any:
+    """Return an atom with 1 for ``sign(u)`` where u > 0, -1 where u < 0, and 0 where u = 0.
 
-    A sum of such squares is at most 0 where all of them are, a product where one factor is.
+    The atom itself if it has no value where u = 0.
     """
     import sympy
 
-    terms = sympy.Add.make_args(atom.expression)
-    if len(terms) > 1:
-        signs = all(term.has(sympy.sign) and term.is_nonnegative for term in terms)
-        return And(tuple(Atom(term, atom.strict) for term in terms)) if signs else None
-    factor, power = atom.expression.as_coeff_Mul()
-    if isinstance(power, sympy.sign):
-        return Atom(factor * power.args[0], atom.strict)
-    for square in sympy.Mul.make_args(atom.expression):
-        base, exponent = square.as_base_exp()
-        if isinstance(base, sympy.sign) and exponent.is_even and exponent.is_positive:
-            sides = (Atom(base, atom.strict), Atom(-base, atom.strict))
-            rest = Atom(atom.expression / square, atom.strict)
-            return And((Or(sides), rest)) if atom.strict else Or((And(sides), rest))
-    return None
+    u = sign.args[0]
+    plus, zero, minus = (
+        Atom(atom.expression.subs(sign, value), atom.strict) for value in (1, 0, -1)
+    )
+    if zero.expression.has(sympy.nan, sympy.zoo):
+        return atom
+    # A side with the truth at zero includes zero.
+    above, below = (
+        zero.constant is not None and zero.constant is side.constant for side in (plus, minus)
+    )
+    parts = [And((Atom(-u, not above), plus)), And((Atom(u, not below), minus))]
+    if not (above or below):
+        parts.append(And((Atom(u, False), Atom(-u, False), zero)))
+    return Or(tuple(parts))

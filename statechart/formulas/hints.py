@@ -15,6 +15,7 @@ _CHARACTERS: Mapping[str, str] = {
     **dict.fromkeys("\u2212\u2013\u2014", "a minus is -"),  # the sign, and dashes
     **dict.fromkeys("≤≥", "compare with <=, <, >= or >"),
     "≠": "counts are compared with !=",
+    **dict.fromkeys("\u2227\u2228\u00ac", "write `and`, `or`, `not`"),
     "÷": "write a quotient as a/b",
     "√": "write sqrt(...)",
     "π": "write pi",
@@ -35,6 +36,9 @@ _CHARACTERS: Mapping[str, str] = {
 }
 _GREEK = ("GREEK SMALL LETTER ", "GREEK CAPITAL LETTER ", "MICRO SIGN")
 _LETTERS = "letters, digits and _, not beginning with a digit"
+_UMLAUTS = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}
+)
 
 
 def character(given: str, otherwise: str = "") -> str:
@@ -56,8 +60,9 @@ def no_name(text: str) -> str:
     """Return advice on an invalid name."""
     if text.isdecimal():
         return f"decimals have a point: 0.5; a name has {_LETTERS}"
-    if re.fullmatch(r"[A-Za-z]\w*( \w+)+", text, re.ASCII):
-        return f"write {text.replace(' ', '_')}"
+    spelt = text.translate(_UMLAUTS).replace(" ", "_")
+    if spelt != text and re.fullmatch(r"[A-Za-z]\w*", spelt, re.ASCII):
+        return f"write {spelt}"
     name, equals, value = text.partition("=")
     if equals:
         return f"write {name.strip()}: {value.strip() or '...'}"
@@ -79,6 +84,7 @@ TOKENS: Mapping[str, str] = {
     **dict.fromkeys(("and", "or", "not", "in"), "comparisons stand on both sides of `and`, `or`"),
     **dict.fromkeys(("if", "else", "then"), _CHOICE),
     "is": "compare counts with == or !=",
+    **dict.fromkeys(("ge", "gt", "le", "lt"), "compare with <=, <, >= or >"),
     "deg": "angles are in radians: 30*pi/180",
 }
 """Misplaced part of a formula -> advice."""
@@ -116,10 +122,11 @@ _OTHERS: Mapping[str, str] = {
 # Last part of a dotted name -> ours.
 _PARTS: Mapping[str, str] = {
     "vx": "dx", "vy": "dy", "xdot": "dx", "ydot": "dy", "omega": "dangle", "theta": "angle",
-    "phi": "angle", "normal": "V", "tangential": "H",
+    "phi": "angle", "normal": "V", "tangential": "H", "n": "V", "fn": "V", "ft": "H",
 }  # fmt: skip
 # Quantities of contacts, not of bodies.
 _OF_CONTACTS = frozenset({"V", "H", "N", "gap", "slip", "normal", "force"})
+_ACCELERATIONS = frozenset({"ax", "ay", "ddx", "ddy", "a", "acc", "acceleration"})
 # Word of another program in small letters -> advice.
 _WORDS: Mapping[str, str] = {
     **dict.fromkeys(("deg", "degrees", "radians", "deg2rad"), TOKENS["deg"]),
@@ -192,6 +199,10 @@ def meant(
     whole, dot, part = name.rpartition(".")
     if dot and (same := f"{whole}.{_PARTS.get(part.lower(), part)}") in names:
         return f"write {same}"
+    if f"{name}.gap" in names:
+        return f"write {name}.V, {name}.H, {name}.gap or {name}.slip; in a relation in({name}.pin)"
+    if f"{whole}.dx" in names and part in _ACCELERATIONS:
+        return "accelerations have no name; write the forces on the body over its mass"
     if dot and part == "count":
         return f"an output counts events: {{count: {whole}.EVENT}}"
     owners = sorted(own for own in names if dot and own.endswith(f".{part}"))

@@ -91,10 +91,8 @@ def entries(group: str) -> tuple[EntryPoint, ...]:
 def load(entry: EntryPoint) -> Any:
     """Load the object of an entry point.
 
-    Raises
-    ------
-    StatechartError
-        If its package stands beside this one, and another of its name hides it.
+    Raises `StatechartError` if its package stands beside this one, and another of its name hides
+    it.
     """
     home = _home(entry)
     hiding = None if home is None else _hiding_module(home)

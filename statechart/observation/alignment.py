@@ -71,14 +71,16 @@ def last_resolved(trace: Trace) -> list[Jump]:
 def resolved_events(runs: Sequence[Sequence[Jump]]) -> list[list[Event]]:
     """Return the events of runs, without those that at least one skipped in a Zeno sequence.
 
-    If regions bounce in turn, round-off decides at which of them the rest is skipped. Events
-    remain from the first sequence on that the runs did not skip alike.
+    If regions bounce in turn, round-off decides at which of them the rest is skipped. If the runs
+    skipped different numbers of sequences, events remain from the first one on whose ends are
+    farther apart than the skipped times; runs with equal numbers differ by their errors.
     """
     sums = [[jump for jump in run if jump.skipped > 0.0] for run in runs]
+    same = len(set(map(len, sums))) == 1
     windows = []
     for alike in zip(*sums, strict=False):
         ends, times = zip(*((jump.t + jump.skipped, jump.skipped) for jump in alike), strict=True)
-        if max(ends) - min(ends) > max(times):
+        if not same and max(ends) - min(ends) > max(times):
             break
         windows.append((_WINDOW[0] * min(times), _WINDOW[1] * max(times)))
     return [_resolved(run, own, windows) for run, own in zip(runs, sums, strict=True)]

@@ -290,6 +290,8 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
 
     places = regions_with_bands(automaton, trace)
     unnamed: dict[str, Artist] = {}
+    drawn = [automaton.colours[trace.regions[row]] for row in places]
+    of_state = {state: {c[state] for c in drawn if state in c} for c in drawn for state in c}
     for y, row in zip(reversed(range(len(places))), places, strict=True):
         colours = automaton.colours[trace.regions[row]]
         for state, stretches in _visible(_intervals(trace, row), end).items():
@@ -302,7 +304,8 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
             for start, last in wide[:_MAX_NAMED]:
                 ax.text((start + last) / 2, y + 0.5, state, ha="center", va="center", fontsize=8)
             if not wide:
-                unnamed[state] = Patch(facecolor=colours[state], label=state)
+                label = state if len(of_state[state]) == 1 else f"{trace.regions[row]} {state}"
+                unnamed[label] = Patch(facecolor=colours[state], label=label)
         for state, times in _instants(trace, row).items():
             label = f"{state} for no time"
             (unnamed[label],) = ax.plot(

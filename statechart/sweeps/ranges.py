@@ -116,7 +116,11 @@ def read_table(path: Path | str) -> pd.DataFrame:
     if len(raw) > _MAX_BYTES or cells > _MAX_NUMBERS:
         message = f"{path}: more than {_MAX_NUMBERS} numbers, or {_MAX_BYTES // 10**6} MB"
         raise DeclarationError(message, advice="sweep over one part of the table at a time")
-    width = raw.partition(b"\n")[0].count(b",") + 1
+    head = raw.partition(b"\n")[0]
+    if b";" in head or b"\t" in head:
+        advice = "write commas between columns, and decimals with a point"
+        raise DeclarationError(f"{path}: a semicolon or a tab in its first line", advice=advice)
+    width = head.count(b",") + 1
     if width > MAX_VALUES:
         raise DeclarationError(
             f"{path} is no table: its first line has {width} names, and no model has more "

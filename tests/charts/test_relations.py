@@ -315,6 +315,26 @@ def test_guard_that_signs_make_true_at_one_instant_fires_there(guard, time, engi
 
 
 @ENGINES
+@pytest.mark.parametrize(
+    ("guard", "time"),
+    [
+        ("sign(0.5 - x) <= -1", 0.5),
+        ("sign(x - 0.5) >= 1", 0.5),
+        ("sign(0.5 - x) + sign(0.8 - x) <= 0", 0.5),
+        ("sign(0.5 - x) + sign(0.8 - x) <= -2", 0.8),
+        ("sign(0.5 - x)*sign(0.8 - x) <= -1", 0.5),
+        ("abs(sign(0.5 - x) + 1) <= 0", 0.5),
+        ("sign(0.25 - x)*y <= -1.2", 0.6),
+        ("sign(x + 1) <= -1", None),
+    ],
+)
+def test_guard_on_a_value_of_a_sign_fires_where_the_sign_changes(guard, time, engine):
+    model = interpret(read_text(INSTANT.replace("GUARD", guard)))
+    jumps = statechart.run(model, engine=engine).trace.jumps
+    assert [jump.t for jump in jumps] == pytest.approx([] if time is None else [time], abs=1e-14)
+
+
+@ENGINES
 def test_reciprocal_of_a_square_of_a_sign_has_no_value_where_the_sign_changes(engine):
     model = interpret(read_text(INSTANT.replace("GUARD", "1/sign(x - 0.5)**2 <= 0")))
     with pytest.raises(NonFinite, match=r"guard r.t has no value near t = 0.5;"):

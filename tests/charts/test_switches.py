@@ -90,6 +90,30 @@ def test_two_blocks_that_stop_at_one_instant_both_slide(engine: Engine) -> None:
 
 
 @both
+@pytest.mark.parametrize("angle", ["atan2(y, x)", "atan2(sin(time), cos(time))"])
+def test_angle_in_a_flow_jumps_at_its_branch_cut(angle: str, engine: Engine) -> None:
+    chart = flow({"x": 1, "y": 0, "w": 0}, x="-y", y="x", w=angle)
+    # The angle is time, from pi on time - 2 pi.
+    assert run(chart, engine, 6.0).final[2] == pytest.approx(18.0 - 2.0 * math.pi * (6.0 - math.pi))
+
+
+@both
+def test_flow_slides_along_a_branch_cut_that_attracts(engine: Engine) -> None:
+    trace = run(flow({"w": 2}, w="atan2(sin(w), cos(w))"), engine, 6.0)
+    assert breaks(trace)[-1] == pytest.approx(math.log(math.pi / 2.0), abs=1e-9)
+    assert trace.final == pytest.approx([math.pi], abs=1e-9)
+
+
+@both
+def test_angle_on_the_negative_axis_is_pi(engine: Engine) -> None:
+    # y stays zero: the force towards the origin points along +x.
+    chart = flow({"x": -2, "y": 0}, x="cos(atan2(-y, -x))", y="sin(atan2(-y, -x))")
+    assert run(chart, engine, 1.0).final == pytest.approx([-1.0, 0.0], abs=1e-12)
+    away = flow({"x": -2, "y": 0}, x="cos(atan2(y, x))", y="sin(atan2(y, x))")
+    assert run(away, engine, 1.0).final == pytest.approx([-3.0, 0.0], abs=1e-12)
+
+
+@both
 def test_grazing_fires_no_event(engine: Engine) -> None:
     trace = run(flow({"x": 1, "y": 0}, x="2*(time - 1)", y="abs(x)"), engine, 2.0)
     assert trace.final[1] == pytest.approx(2.0 / 3.0, abs=1e-12)

@@ -424,6 +424,14 @@ def test_place_and_suffix_of_a_drawing_are_checked_first(cli: Cli, scene: tuple[
         assert reported in err
 
 
+@pytest.mark.parametrize("verb", ["run", "trade"])
+def test_the_name_of_a_file_is_refused_for_a_folder(cli: Cli, verb: str) -> None:
+    code, out, err = cli(verb, "bouncing_ball_chart", "-o", "a.csv")
+    assert (code, out) == (2, "")
+    assert "--output a.csv: the results are several files, in a folder; write --output a\n" in err
+    assert not Path("a.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "reported"),
     [

@@ -19,6 +19,14 @@ def test_an_invalid_document_name_is_refused(
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", ["my scene", "my_scene.yaml", "my-scene"])
+def test_advice_on_an_invalid_document_name_is_a_valid_one(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new", name]) == 2
+    assert capsys.readouterr().err.endswith("; write statechart new my_scene\n")
+
+
 def test_a_folder_that_is_not_writable_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -257,6 +257,7 @@ def test_every_option_and_argument_has_a_help_text(action: argparse.Action) -> N
         ("sweep toppling_stick mu=1", "unexpected argument 'mu=1'; write --over before each"),
         ("run toppling_stick twice", "unexpected argument 'twice'; statechart run takes one FILE"),
         ("compile toppling_stick", "unexpected argument 'toppling_stick'; statechart compile take"),
+        ("run toppling_stick --parameters mu=1", "no option --parameters; write --set\n"),
         ("run toppling_stick --mu 0.3", "no option --mu; a parameter is written --set mu=VALUE\n"),
         ("run toppling_stick --set mu=0.3,I_G=1", "has several values; write --set before each"),
         ("run toppling_stick --set mu 0.3", "'mu' is not of the form NAME=VALUE, such as mu=0.3"),

@@ -280,6 +280,7 @@ def test_line_ends_of_old_computers_give_a_place(text):
     [
         (b"%PDF-1.4\n1 0 obj\n", "1:1: this is a PDF; name a YAML file"),
         (b"\x89PNG\r\n\x1a\n", "1:1: this is a picture; name"),
+        (b'<?xml version="1.0"?><robot/>', "1:1: this is XML or HTML, such as URDF, SDF or MJCF"),
         (b"PK\x03\x04kind: scene\n", "1:1: this is a ZIP archive, or a document of an office"),
         ("kind: scene\n".encode("utf-16-le"), "1:2: the character U+0000 is not allowed; save the"),
     ],

@@ -27,6 +27,22 @@ outputs:
 """
 
 MISTAKES = {
+    "degrees at a start in the ground": (
+        "start: {y: h, angle: 0.3}", "start: {y: 0.1, angle: 45}",
+        "bodies.rod.start.angle: 45 radians are 7.16 turns; of degrees write 45*pi/180"),
+    "inertia about z": ("inertia:", "Izz:", "unknown key 'Izz'; write inertia"),
+    "initial values of a body": ("start: {y", "initial: {y", "'initial'; write start: {x: ..., y:"),
+    "a point in quotes": ("at: [0, -L]", "at: '[0, -L]'", "not '[0, -L]'; remove the quotes"),
+    "speed of a coordinate": ("gravity: g", "coordinates: {q: {velocity: 1}}\ngravity: g",
+                              "unknown key 'velocity'; write rate"),
+    "pose of a joint": ("surfaces:", "joints: {j: {pos: [0, 1]}}\nsurfaces:", "write to: [0, 0]"),
+    "unit of an output": ("value: time", "unit: s, value: time", "write units: {NAME: m}, beside"),
+    "acceleration": ("value: time", "value: rod.ddy", "accelerations have no name; write the for"),
+    "normal force": ("value: time", "value: tip.N", "unknown name 'tip.N'; write tip.V"),
+    "mode as a value": ("rod.angle <= -pi/2", "tip == 1", "tip.slip; in a relation in(tip.pin)"),
+    "inputs": ("gravity: g", "inputs: {u: 0}\ngravity: g", "write controls: {u: 0}, and regions:"),
+    "an exclamation mark": ("rod.angle <= -pi/2", "!rod.angle > 0", "write `not` for !, and put"),
+    "an umlaut": ("parameters: {", "parameters: {höhe: 1, ", "'höhe' is not a name; write hoehe"),
     "three arguments in braces": ("mu: 0.5", "mu: sat(1, 0, 2)", "here 'sat(1'; put the whole"),
     "names as arguments": ("mu: 0.5", "mu: sat(m, top, h)", "here 'sat(m'; put the whole formula"),
     "force of a body": ("value: time", "value: rod.V", "'rod.V'; rod has no V; write tip.V"),
@@ -372,6 +388,13 @@ regions:
 stop: {time: 10}
 """
 OF_CHARTS = {
+    "edges": ("transitions:", "edges:", "unknown key 'edges'; write transitions"),
+    "locations": ("states:", "locations:", "unknown key 'locations'; write states"),
+    "first state": ("initial:", "start:", "unknown key 'start'; write initial"),
+    "state of a chart": ("variables:", "state:", "unknown key 'state'; write variables: {x: 0}"),
+    "instant": ("guard: T >= 20", "at: 20", "unknown key 'at'; write after"),
+    "comparison of Fortran": ("T >= 20", "T ge 20", "compare with <=, <, >= or >"),
+    "sign for and": ("T >= 20", "T >= 20 \u2227 T > 3", "write `and`, `or`, `not`"),
     "set": ("updates:", "set:", "unknown key 'set'; write updates: {VARIABLE: FORMULA}"),
     "signal from outside": ("guard: T >= 20", "on: STOP", "no cause or state 'STOP'; known: zeno;"),
     "event of its own": ("guard: T >= 20", "on: cut", "write guard: in(switch.STATE) for a state"),

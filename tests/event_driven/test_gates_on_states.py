@@ -165,3 +165,46 @@ def test_gate_combines_a_rate_and_a_controller_state(enabled: str, engine: str) 
         ("enable", pytest.approx(math.asin(0.6), abs=1e-9)),
         ("disable", pytest.approx(math.pi - math.asin(0.6), abs=1e-9)),
     ]
+
+
+TURNS = """
+kind: scene
+name: turns
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {dx: 2}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  b: {point: {body: ball}, surface: floor, friction: 0, restitution: 0, enabled: "ENABLED"}
+regions:
+  c:
+    initial: counts
+    variables: {n: 0}
+    states: {counts: {}}
+    transitions: [{name: tick, from: counts, every: 0.7, updates: {n: n + 1}}]
+stop: {time: 2}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy", "impulse"])
+@pytest.mark.parametrize(
+    ("enabled", "off"),
+    [
+        ("n < 2", 1.4),
+        ("max(n, 1) < 2", 1.4),
+        ("not n >= 2", 1.4),
+        ("floor(time/0.6) < 2", 1.2),
+        ("atan2(sin(ball.x), cos(ball.x)) > -1", math.pi / 2),
+        ("atan2(sin(ball.x - 4), cos(ball.x - 4)) <= -1 or n < 1", (6.0 - 3.0) / 2.0),
+        ("sign(2 - ball.x) > -1", 1.0),
+    ],
+)
+def test_contact_goes_off_where_its_condition_jumps_or_comes_to_its_bound(enabled, off, engine):
+    step = {"step": STEP} if engine == "impulse" else {}
+    model = interpret(read_text(TURNS.replace("ENABLED", enabled)))
+    result = statechart.run(model, engine=engine, **step)
+    times = [jump.t for jump in result.trace.jumps if jump.cause == "disable"]
+    assert times == pytest.approx([off], abs=2 * STEP if step else 1e-12)
+    # It falls until the end.
+    y = result.trace.final[1]
+    assert y == pytest.approx(-0.5 * G * (2.0 - off) ** 2, abs=10 * STEP if step else 1e-11)
+    assert not any("stays off" in warning for warning in result.warnings)

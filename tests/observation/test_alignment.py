@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -92,6 +93,13 @@ def test_a_sequence_that_one_run_skipped_alone_leaves_the_earlier_ones_aligned()
     elsewhere = jump_at(0.0, target=CLOSED, skipped=0.5)
     found = resolved_events([bounces(6, opening()), [elsewhere, *bounces(7, opening())]])
     assert [len(events) for events in found] == [7, 9]
+
+
+def test_runs_with_as_many_sequences_are_aligned_whatever_their_errors() -> None:
+    """A run at a loose tolerance ends its bounces later by more than the time that it skipped."""
+    late = [replace(jump, t=1.1 * jump.t) for jump in bounces(6, opening())]
+    found = resolved_events([late, bounces(6, opening())])
+    assert [len(events) for events in found] == [6, 6]
 
 
 def test_a_jump_of_one_run_alone_ends_the_pairs() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 import statechart
 from contacts.kind import automaton
@@ -370,6 +371,25 @@ def test_a_controller_has_the_same_colours_in_every_picture(tmp_path: Path) -> N
     assert drawn == {*foot.values()}
     page = result.report(tmp_path / "page.html").read_text(encoding="utf-8")
     assert apart <= set(re.findall(r"#[0-9A-F]{6}", page))
+
+
+def test_a_legend_names_the_region_of_a_state_that_two_regions_colour_differently() -> None:
+    """The bars of `locked` are too short for its name, and each coupling has its own colour."""
+    body = {"mass": 1, "inertia": 1, "start": {"dangle": 3}}
+    scene = Scene.model_validate({
+        "name": "two_brakes",
+        "bodies": {"a": body, "b": body},
+        "couplings": {f"brake_{name}": {"bodies": [name], "limit": 1} for name in ("a", "b")},
+        "stop": {"time": 3.01},
+    })  # fmt: skip
+    result = Runner(scene).run()
+    colours, axes = result.observer.automaton.colours, figure(result.observer, result.trace).axes
+    legend = axes[-1].get_legend()
+    shown = {
+        text.get_text(): to_hex(patch.get_facecolor()).upper()
+        for text, patch in zip(legend.get_texts(), legend.get_patches(), strict=True)
+    }
+    assert shown == {f"{name} locked": colours[name]["locked"] for name in ("brake_a", "brake_b")}
 
 
 def test_an_empty_run_can_be_drawn(observer: Observer) -> None:

@@ -327,3 +327,13 @@ settings: {{engine: impulse, step: {step}}}
     met = math.sqrt(rate**2 - 2.0 * slowing * (turn + 0.5))
     rest += (rate - met) / slowing + 0.4 * met / slowing
     assert events[-1][0] == pytest.approx(rest, abs=10 * step)
+
+
+def test_a_step_that_is_too_large_still_knows_the_states_of_couplings():
+    """A body falls by 9.81 in a step of 1; the report lists the mode at the start."""
+    result = run(
+        "couplings:\n  brake: {bodies: [a], limit: 1}", WHEELS, "a, b", gravity=9.81, step=1
+    )
+    assert result.trace.outcome is Outcome.STEP_TOO_LARGE
+    assert result.trace.modes == (("free", "free", "slip+"),)
+    assert result.to_dict()["modes"] == [{"a": "free", "b": "free", "brake": "slip+"}]

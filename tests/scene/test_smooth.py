@@ -149,3 +149,25 @@ def test_a_force_is_refused_where_its_derivative_is_too_large(deep: str) -> None
     with pytest.raises(DeclarationError, match="nest fewer functions") as caught:
         validate(read_text(text), Scene)
     assert "forces.f.force.0" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "folds"),
+    [
+        ("atan2(sin(3*time), cos(3*time))", True),
+        ("asin(sin(time))/5", True),
+        ("1 - acos(cos(time))", True),
+        ("atan(tan(time))", True),
+        ("asin(c/3*sin(time))", False),  # a crank
+        ("atan(sin(time))", False),
+        ("atan2(c*sin(time), l + c*cos(time))", False),
+        ("asin(sin(c))*time", False),
+    ],
+)
+def test_a_path_that_folds_its_argument_back_is_refused(path: str, folds: bool) -> None:
+    text = FORCED + f"surfaces: {{s: {{height: -9, displacement: [0, '{path}']}}}}\n"
+    if not folds:
+        validate(read_text(text), Scene)
+        return
+    with pytest.raises(DeclarationError, match=r"of time has no slope, .* write a smooth formula"):
+        validate(read_text(text), Scene)

@@ -112,6 +112,7 @@ def test_a_table_has_a_column_for_every_parameter(tmp_path: Path) -> None:
         (b"mu\n0.1,2,3\n0.1\n", "is no table"),
         (b"mu,I_G\n0.1\n", "I_G"),
         (b"mu\nfast\n", "'fast'"),
+        (b"mu;I_G\n0,1;1\n", "write commas between columns, and decimals with a point"),
         (b"mu,mu\n1,2\n", "two columns have one name"),
         (b"\xff\xfe\x00", "is no table"),
     ],

@@ -755,3 +755,18 @@ stop: {{time: 3}}
     (trace,) = Subject(scene).case({}).sound[:1]
     assert [(jump.source, jump.target) for jump in trace.jumps] == [(("slip+",), ("locked",))]
     image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))
+
+
+def test_force_whose_sign_changes_at_a_time_leaves_no_gap_between_arcs():
+    report = check(
+        model("""
+kind: scene
+name: pushed
+bodies: {b: {mass: 1}}
+forces: {f: {body: b, force: ["2*sign(time - 0.05)", 0]}}
+stop: {time: 0.25}
+"""),
+        examples=1,
+        seed=1,
+    )
+    assert report.passed
