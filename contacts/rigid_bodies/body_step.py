@@ -42,6 +42,7 @@ from contacts.rigid_bodies.body_modes import finish_settling, settle_bodies, uns
 from contacts.rigid_bodies.island_step import PLASTIC, apply_row_impulse, solve_islands
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_rows import GUIDED, HELD
+from contacts.solvers.impulse_coupling import root
 from contacts.states import FREE, LOCKED, OPEN_CODE, PIN, SLIDE, SLIP_MINUS, SLIP_PLUS
 from contacts.time_stepping.chunk import (
     BAD_INERTIA,
@@ -139,7 +140,9 @@ def _store(
                 chunk.impulses[k, b, 0] += pn
                 if resists:
                     turned = active.rows[i, 1, 3 * side + 2] * pt
-                    chunk.joint_impulses[k, joint_forces(numbers) + b] += turned
+                    column = joint_forces(numbers) + b - chunk.joint_impulses.shape[1]
+                    chunk.joint_impulses[k, column] += turned
+                    chunk.impact_delay[k, column] = chunk.impact_delay[k, b]
                 else:
                     chunk.impulses[k, b, 1] += pt if side == 0 else -pt
             # An impulse below this part of the largest on its body is round-off, no contact.
@@ -152,15 +155,18 @@ def _store(
 
 
 @kernel
-def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
-    """Return whether the impacts of a step can be delayed beyond its middle."""
-    any_hit = False
+def _may_land(active: ActiveContacts, law: int, i: int) -> bool:
+    """Return whether the impact of contact i can be delayed beyond mid-step."""
+    return active.levels[i, 1] > 0.0 and (active.materials[i, 2] == 0.0 or law == PLASTIC)
+
+
+@kernel
+def _any_lands(active: ActiveContacts, law: int, count: int) -> bool:
+    """Return whether an impact of the step can be delayed beyond mid-step."""
+    any_lands = False
     for i in range(count):
-        if active.hit[i]:
-            if active.levels[i, 1] <= 0.0 or (active.materials[i, 2] > 0.0 and law != PLASTIC):
-                return False
-            any_hit = True
-    return any_hit
+        any_lands = any_lands or (active.hit[i] and _may_land(active, law, i))
+    return any_lands
 
 
 @kernel
@@ -180,31 +186,47 @@ def _without_impacts(
 
 
 @kernel
-def _landing(
-    space: Workspace, rates: Array, early: Array, h: float, slight: float, count: int
-) -> float:
-    """Return the delay of the first touch of a landing after mid-step.
+def _write_delays(
+    space: Workspace, law: int, rates: Array, early: Array, h: float, slight: float, count: int,
+    delays: Array,
+) -> None:  # fmt: skip
+    """Write the delays (b,) of the first touch of landings after mid-step in the islands of bodies.
 
-    Forces alone give the rates `early`. Lasting contacts and joints continue, up to the speed
-    `slight`; contacts may slip, and joints that are off may move. Delayed impulses keep the energy
-    bound (`contacts.time_stepping.stepper`). Earlier ones, of penetrating contacts, do not, and
-    would move bodies farther than detection covers.
+    It is 0 without an impact. Forces alone give the rates `early`. Lasting contacts
+    and joints continue, up to the speed `slight`; contacts may slip, or rest until the impact
+    opens them, and joints that are off may move. Delayed impulses keep the energy bound
+    (`contacts.time_stepping.stepper`). Earlier ones, of penetrating contacts, do not, and would
+    move bodies farther than detection covers.
     """
-    active, first = space.active, _LATEST * h
+    active, parents = space.active, space.parents
+    for b in range(len(delays)):
+        delays[b] = -1.0
     for i in range(count):
+        island = root(parents, active.bodies[i, 0])
+        if active.hit[i] and not _may_land(active, law, i):
+            delays[island] = 0.0
+        elif active.hit[i] and delays[island] < 0.0:
+            delays[island] = _LATEST * h
+    for i in range(count):
+        island = root(parents, active.bodies[i, 0])
+        first = delays[island]
         holds = active.materials[i, 0] in (HELD, GUIDED) or active.compliances[i] > 0.0
-        for d in range(2):
+        for d in range(2 if first > 0.0 else 0):
             change = velocity(active.bodies, active.rows, rates, i, d)
             change -= velocity(active.bodies, active.rows, early, i, d)
             if not active.hit[i]:
+                until = velocity(active.bodies, active.rows, early, i, d) + active.free[i, d]
+                until -= velocity(active.bodies, active.rows, space.mid.free_rates, i, d)
+                opens = not holds and change > 0.0 and until + active.bias[i, d] >= -slight
                 bound = holds or (d == 0 and active.bias[i, 0] < OFF)
-                if bound and abs(change) > slight:
-                    return 0.0
+                if bound and abs(change) > slight and not opens:
+                    delays[island] = 0.0
             elif space.bounces[i] != 0:
-                return 0.0
-            elif d == 0 and 0.0 < active.levels[i, 1] < change * first:
-                first = active.levels[i, 1] / change
-    return first
+                delays[island] = 0.0
+            elif d == 0 and active.levels[i, 1] < change * first:
+                delays[island] = active.levels[i, 1] / change
+    for b in range(len(delays)):
+        delays[b] = max(delays[root(parents, b)], 0.0)
 
 
 @kernel
@@ -254,6 +276,8 @@ def _store_joints(
                 chunk.joint_impulses[k, at - 1 - n] -= impact
             elif d == 0 or holds[j] in (BOTH, ROPE):
                 chunk.solved[k, at], chunk.joint_impulses[k, at - n] = force, impact
+                delay = chunk.impact_delay[k, active.bodies[i, 0]]
+                chunk.impact_delay[k, chunk.codes.shape[1] + at] = delay
                 at += 1
     if space.joint_energy[0] > 0.0:
         # The work of all impulses is bounded: wedged contacts absorb the energy of joints.
@@ -287,6 +311,7 @@ def _store_couplings(
         if not limits[c, ENABLED] > 0.0:
             mode = OPEN_CODE
         chunk.codes[k, bodies + c] = chunk.modes[k, bodies + c] = mode
+        chunk.impact_delay[k, bodies + c] = chunk.impact_delay[k, active.bodies[i, 0]]
         # A limit below zero, or without a value, ends the run.
         chunk.gaps[k, bodies + c] = 0.0 if mode == OPEN_CODE else limits[c, DECLARED]
         chunk.solved[k, at + c] = signs[c] * levers[c] * space.steady[i, 1] / chunk.h
@@ -369,7 +394,8 @@ def step_bodies(
         written if forces are recorded.
     """
     h, links, (law, forces, allowed, deepest) = chunk.h, numbers.links, options
-    first, whole = 3 * (len(numbers.inverse) - links.bodies), len(numbers.sizes)
+    free, whole = len(numbers.inverse) - links.bodies, len(numbers.sizes)
+    first, delays = 3 * free, np.empty(len(numbers.inverse))
     n, state = first + links.size, chunk.states[0].copy()
     old, loose, active = space.mid.old_rates, space.mid.free_rates, space.active
     surfaces, sizes = numbers.surfaces, numbers.sizes
@@ -421,7 +447,7 @@ def step_bodies(
             count = add_joints(numbers, warm, space.mid, h, count, active)
         first_coupling = count
         count = add_couplings(numbers, limits, warm, space.mid, h, count, active)
-        lands = _may_land(active, law, first_coupling)
+        lands = _any_lands(active, law, first_coupling)
         if lands:
             _without_impacts(numbers, active, space.mid, count, early)
         space.joint_energy[1] = 1.0 if deepest < math.inf else 0.0
@@ -441,12 +467,13 @@ def step_bodies(
         if forces:
             write_linked_rates(numbers, space.mid, forced)
             _shown(rates, old, forced)
-        # Landing bodies move freely until they touch.
-        delay = 0.0
-        if lands:
-            slight = max(fall, _SPEED_ROUND_OFF * detected.approach)
-            delay = _landing(space, rates, early, h, slight, first_coupling)
-        chunk.impact_delay[k, :] = delay
+        # Landing bodies move freely until they touch. All mechanisms have one delay.
+        for b in range(free, len(delays)):
+            space.parents[root(space.parents, b)] = root(space.parents, free)
+        slight = max(fall, _SPEED_ROUND_OFF * detected.approach)
+        _write_delays(space, law, rates, early, h, slight, first_coupling, delays)
+        for b in range(len(delays)):
+            chunk.impact_delay[k, b] = delays[b]
         _store(numbers, warm, space, detected, allowed, rates, k, chunk)
         if unsettle_bodies(warm, k, chunk):
             settle_bodies(numbers, warm, space, rates, detected.contacts, k, chunk)
@@ -465,7 +492,9 @@ def step_bodies(
                 chunk.solved[k, at] = (forced[b, d] - old[b, d]) / h
             state[n + at] = rates[b, d]
             state[at] += 0.5 * h * rates[b, d]
-            if lands:
+            delay = delays[b if at < first else free]
+            chunk.impact_delay[k, chunk.codes.shape[1] + at] = delay
+            if delay > 0.0:
                 state[at] += delay * (early[b, d] - rates[b, d])
             if not math.isfinite(state[at]):
                 return k, NOT_FINITE

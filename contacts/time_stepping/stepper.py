@@ -18,12 +18,13 @@ The energy grows by at most ``h^2/8 f^T M^-1 f`` in a step: if impulses P add no
 velocities they act on, ``P (U+ + U-)/2 <= -P (h J M^-1 f)/2 - P W P/2``, whose maximum that is.
 Restitution with friction that would add more is reduced (`capped`).
 
-Bodies with shapes have their impact in the step nearest to the touch. If all impacts of a step are
-landings, and the first touch is ``s`` after mid-step, the impacts I act then: ``q+`` is corrected
-by ``-s M^-1 J^T I``, so that landed contacts touch. That takes ``-s f M^-1 J^T I`` from the energy
-in the forces; if all impulses are impacts the bound above becomes ``(h - 2 s)^2/8 f^T M^-1 f``.
-Until then lasting contacts carry their previous forces, if that moves them by no more than a step
-of free fall; otherwise impacts are at mid-step.
+Bodies with shapes have their impact in the step nearest to the touch. If all impacts of an island
+are landings, and the first touch is ``s`` after mid-step, the impacts I act then: ``q+`` is
+corrected by ``-s M^-1 J^T I``, so that landed contacts touch. That takes ``-s f M^-1 J^T I`` from
+the energy in the forces; if all impulses are impacts the bound above becomes
+``(h - 2 s)^2/8 f^T M^-1 f``. Until then lasting contacts carry their previous forces, if these
+close none by more than a step of free fall, and joints by no more in either direction; otherwise
+impacts are at mid-step.
 
 Points whose coupled group lands without restitution land at its last touch, at ``-h < s < 0``
 (found by Newton's method), with the mass and Jacobians there. Forces depend on the new velocities

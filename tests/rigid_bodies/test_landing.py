@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+import statechart
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner
@@ -164,3 +165,77 @@ settings: {{engine: impulse, step: {step}}}
     rises = 2.0 * k * (1.0 - k) / (1.0 + k) ** 2 * speed if rocks else 0.0
     assert dy == pytest.approx(0.5 * rises, rel=1e-2, abs=1e-12)
     assert turn == pytest.approx(-0.5 * rises / a, rel=1e-2, abs=1e-12)
+
+
+DROPS = """
+kind: scene
+name: drops
+gravity: 9.81
+bodies:
+  stone: {mass: 1, inertia: 0.01, shape: {disc: 0.1}, start: {y: 0.1 + 9.81*0.20073**2/2}}
+  late: {mass: 1, inertia: 0.01, shape: {disc: 0.1}, start: {x: 1, y: 0.1 + 9.81*0.20095**2/2}}
+  early: {mass: 1, inertia: 0.01, shape: {disc: 0.1}, start: {x: 2, y: 0.1 + 9.81*0.20065**2/2}}
+  bouncer: {mass: 1, inertia: 0.01, shape: {disc: 0.1}, start: {x: 3, y: 0.1 + 9.81*0.2008**2/2}}
+  thrown: {mass: 1, inertia: 0.01, shape: {disc: 0.1}, start: {x: 4, y: 0.1}}
+surfaces: {floor: {height: 0}}
+collisions:
+  soft: {bodies: [stone, late, early, thrown], surfaces: [floor], friction: 0.3, restitution: 0}
+  hard: {bodies: [bouncer], surfaces: [floor], friction: 0.3, restitution: 0.5}
+forces: {throw: {body: thrown, force: [0, 9.81*time/0.2005]}}
+regions:
+  first:
+    initial: none
+    states: {none: {}, stone: {}, late: {}, early: {}}
+    transitions:
+      - {name: a, from: none, to: stone, on: stone.touchdown}
+      - {name: b, from: none, to: late, on: late.touchdown}
+      - {name: c, from: none, to: early, on: early.touchdown}
+stop: {time: 0.21}
+settings: {engine: impulse, step: 1e-3}
+outputs: {leaves: {value: time, at: first thrown.liftoff}}
+"""
+
+
+def test_bodies_that_land_in_one_step_have_their_own_times_of_touch():
+    """And the order of the bodies in the file does not decide what a controller hears first."""
+    result = statechart.run(read_text(DROPS))
+    trace = result.trace
+    at = {jump.region: jump for jump in trace.jumps if jump.impulse}
+    touches = {"early": 0.20065, "stone": 0.20073, "late": 0.20095}
+    for name, touch in touches.items():
+        assert at[name].t == pytest.approx(touch, abs=1e-6)
+        assert set(at[name].impulse) == {name}
+        assert trace.final[trace.variables.index(f"{name}.y")] == pytest.approx(0.1, abs=1e-12)
+    assert at["bouncer"].t == pytest.approx(0.2008, abs=1e-3)
+    assert trace.final_mode[-1] == "early"
+    assert float(result.outputs["leaves"]) == pytest.approx(0.2005, abs=1e-3)
+
+
+SPUN = """
+kind: scene
+name: spun
+gravity: 9.81
+bodies:
+  d: {mass: 1, inertia: 0.005, start: {x: -0.5, y: 0.1, dx: 1, dangle: -10}, shape: {disc: 0.1}}
+surfaces: {floor: {height: 0}, wall: {edge: [[0, 3], [0, -3]]}}
+collisions: {a: {bodies: [d], surfaces: [floor, wall], friction: 0.3, restitution: 0}}
+stop: {time: 0.6}
+settings: {engine: impulse}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 3e-4, 1e-4])
+def test_a_rolling_disc_that_climbs_a_wall_lands_once_and_spins_down_in_the_corner(step):
+    """The wall's friction mu m v throws it up; in the corner both surfaces brake its spin.
+
+    It flies for 2 mu v/g, and spins down at mu (1 + mu)/(1 + mu^2) m g r/I after its landing.
+    """
+    mu, v, m, r, inertia, g = 0.3, 1.0, 1.0, 0.1, 0.005, 9.81
+    braking = mu * (1 + mu) / (1 + mu**2) * m * r / inertia
+    lands = 0.4 + 2 * mu * v / g
+    spin = v / r - mu * m * v * r / inertia - braking * mu * v
+    trace = statechart.run(read_text(SPUN), step=step).trace
+    struck = [jump.t for jump in trace.jumps if jump.impulse]
+    assert struck == pytest.approx([0.4, lands], abs=2 * step)
+    assert trace.jumps[-1].cause == "stick"
+    assert trace.jumps[-1].t == pytest.approx(lands + spin / (braking * g), abs=2 * step)
