@@ -111,11 +111,19 @@ class Gate:
         """
         ignored = valleys or {}
 
-        def margin(tree: Any) -> sp.Expr:
+        def margin(tree: Any, beside: Sequence[Any] = ()) -> sp.Expr:
             if isinstance(tree, And | Or):
-                return (Min if isinstance(tree, And) else Max)(*map(margin, tree.parts))
+                parts = tree.parts if isinstance(tree, And) else ()
+                kind = Min if isinstance(tree, And) else Max
+                return kind(*(margin(part, parts) for part in tree.parts))
             atom = self.atoms[tree]
-            value = atom.margin.xreplace(values)
+            # The other parts of a conjunction tell where a power has no value.
+            held = {self.atoms[part].margin for part in beside if isinstance(part, int)}
+            powers = {
+                p for p in atom.margin.atoms(sp.Pow) if p.base in held and not p.exp.is_integer
+            }
+            kept = {power: Max(power.base, 0) ** power.exp for power in powers}
+            value = atom.margin.xreplace(kept).xreplace(values)
             if atom.is_end:
                 return Max(value, ignored[atom.words]) if atom.words in ignored else value
             pieces = ([*sides, (piece, atom.closed)] for sides, piece in _pieces(value))

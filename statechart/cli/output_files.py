@@ -25,23 +25,9 @@ PATIENCE = 0.9
 PAGES = (".html", ".htm")
 """Suffixes of a page."""
 _STORE, _FILE = ".zarr", ".nc"
-_FILES = frozenset(
-    [
-        ".csv",
-        ".gif",
-        ".htm",
-        ".html",
-        ".json",
-        ".mp4",
-        ".nc",
-        ".pdf",
-        ".png",
-        ".svg",
-        ".txt",
-        ".xlsx",
-        ".yaml",
-    ]
-)
+_FILES = (
+    *PAGES, _FILE, ".csv", ".gif", ".json", ".mp4", ".pdf", ".png", ".svg", ".txt", ".xlsx", ".yaml"
+)  # fmt: skip
 
 
 def check_folder(output: str | None) -> None:

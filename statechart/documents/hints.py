@@ -59,6 +59,7 @@ YAML_HINTS: Mapping[str, str] = {
     "found character '@' that cannot start": "put text in quotes",
     "expected the node content, but found ','": "there is a comma too many",
     "could not find expected ':'": "write key: value",
+    "sequence entries are not allowed": "write -3 without a blank, and a list on lines of its own",
     "expected '<document start>'": "one model a file; what belongs to it stands in one mapping",
     "expected ',' or '}'": "close the {{{line}, and put commas between",
     "expected ',' or ']'": "close the [{line}, and put commas between",

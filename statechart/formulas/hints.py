@@ -95,6 +95,7 @@ _PROGRAMS: Mapping[str, str] = {
     r".*\b(AND|OR|NOT|And|Or|Not)\b": "write `and`, `or`, `not` in small letters",
     r".*\bxor\b": "write a and not b or b and not a",
     r".*<>": "counts are compared with !=",
+    r".*\d +\d": f"{_TOGETHER}; write a product as a*b",
 }
 
 TOO_FEW: Mapping[str, str] = {

@@ -8,7 +8,7 @@ into such arrays, piece by piece. `OutputAccumulator` adds up the pieces of eith
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from itertools import accumulate, pairwise
@@ -478,6 +478,14 @@ def _selected_events(moment: Moment) -> slice:
     most = moment.most or 1
     slices = {"each": slice(None), "first": slice(most), "last": slice(-most, None)}
     return slices[moment.when]
+
+
+def undefined_warnings(outputs: Mapping[str, OutputValue]) -> tuple[str, ...]:
+    """Return a warning that names the outputs that are NaN."""
+    listed = {name: one if isinstance(one, list) else [one] for name, one in outputs.items()}
+    names = [n for n, values in listed.items() if any(v is not None and v != v for v in values)]
+    why = "a formula has no value there, or steps do not resolve a force"
+    return (f"nan in the outputs {', '.join(names)}: {why}",) if names else ()
 
 
 def outputs_of(observer: Observer) -> Outputs:

@@ -23,7 +23,7 @@ from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import Tape
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import extremes, outputs_of
+from statechart.observation.outputs import extremes, outputs_of, undefined_warnings
 from statechart.observation.sampling import sample_arcs, subdivide
 from statechart.reporting.partial_report import PartialReport
 from statechart.tabular import pluralise, readable_count
@@ -106,7 +106,7 @@ def report(
         "outputs": found_outputs,
         "margins": found_margins,
         "invariants": found_invariants,
-        "warnings": trace.warnings + left_open,
+        "warnings": trace.warnings + left_open + undefined_warnings(found_outputs),
         "counts": trace.counts,
         "timings": computation.timings,
         "parameters": trace.parameters,

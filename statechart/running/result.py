@@ -19,7 +19,7 @@ from statechart.engines.request import Measured
 from statechart.errors import StatechartError, close_matches
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import Outputs, undefined_warnings
 from statechart.reporting.partial_report import PartialReport
 from statechart.running.accuracy import AccuracyRequest
 
@@ -100,8 +100,8 @@ class Result:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of the run, and of guards with undecided grazes."""
-        return self.trace.warnings + self._left_open
+        """Warnings of the run, of guards with undecided grazes, and of outputs that are NaN."""
+        return self.trace.warnings + self._left_open + undefined_warnings(self.outputs)
 
     @cached_property
     def _left_open(self) -> tuple[str, ...]:

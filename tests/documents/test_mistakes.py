@@ -30,6 +30,9 @@ MISTAKES = {
     "degrees at a start in the ground": (
         "start: {y: h, angle: 0.3}", "start: {y: 0.1, angle: 45}",
         "bodies.rod.start.angle: 45 radians are 7.16 turns; of degrees write 45*pi/180"),
+    "a blank behind a minus": ("gravity: g", "gravity: - 9", "5:10: not YAML: sequence entries are "
+                               "not allowed here; write -3 without a blank, and a list on"),
+    "groups of digits": ("mu: 0.5", "mu: 1 000", "digits of a number stand together: 10000"),
     "inertia about z": ("inertia:", "Izz:", "unknown key 'Izz'; write inertia"),
     "initial values of a body": ("start: {y", "initial: {y", "'initial'; write start: {x: ..., y:"),
     "a point in quotes": ("at: [0, -L]", "at: '[0, -L]'", "not '[0, -L]'; remove the quotes"),
@@ -506,6 +509,10 @@ def test_base_scene_of_the_mistakes_is_valid() -> None:
     [
         ("angle: 0.3", "angle: 30", "bodies.rod.start.angle: 30 radians are 4.77 turns; of degrees "
          "write 30*pi/180"),
+        ("surfaces:", "joints: {j: {point: {body: rod}, to: [0, h], limits: [-1, 30]}}\nsurfaces:",
+         "joints.j.limits: 30 radians are 4.77 turns; of degrees write 30*pi/180"),
+        ("surfaces:", "  arm: {mass: m, inertia: 1, position: [0, 3], angle: q}\n"
+         "coordinates: {q: {start: 45}}\nsurfaces:", "coordinates.q.start: 45 radians are 7"),
         ("angle: 0.3", "angle: -m", ""),
         ("m: 1, L: 0.5", "m: 1, L: 0.5, t0: 45", ""),
         ("angle: 0.3", "angle: h",

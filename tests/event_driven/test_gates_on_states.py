@@ -196,6 +196,7 @@ stop: {time: 2}
         ("atan2(sin(ball.x), cos(ball.x)) > -1", math.pi / 2),
         ("atan2(sin(ball.x - 4), cos(ball.x - 4)) <= -1 or n < 1", (6.0 - 3.0) / 2.0),
         ("sign(2 - ball.x) > -1", 1.0),
+        ("10*max(ball.x - 0.6, 0)**1.5 <= 1", 0.3 + 0.5 * 0.1 ** (2.0 / 3.0)),
     ],
 )
 def test_contact_goes_off_where_its_condition_jumps_or_comes_to_its_bound(enabled, off, engine):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from contacts.kind import automaton
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
+from statechart.documents.yaml_reader import read_text
 from statechart.engines.taylor import Taylor
 from statechart.errors import FormulaError
 from statechart.execution.simulator import Simulator
@@ -277,6 +278,23 @@ def test_margins_without_a_value_are_reported(
     assert "tip.mu V - H" in before
     assert set(found) == before
     assert all(map(math.isnan, found.values()))
+
+
+def test_outputs_that_are_nan_are_named_in_a_warning() -> None:
+    text = """
+kind: scene
+name: rooted
+parameters: {x0: 1}
+bodies: {b: {mass: 1, start: {x: x0}}}
+stop: {time: 1}
+outputs: {root: {value: sqrt(b.x)}, way: {value: b.x}, largest: {maximum: log(b.x)}}
+"""
+    runner = Runner(read_text(text))
+    for start, named in ((1.0, 0), (-1.0, 1)):
+        result = runner.run({"x0": start})
+        reported = result.to_dict()["warnings"]
+        for warnings in (result.warnings, reported):
+            assert sum("outputs root, largest" in warning for warning in warnings) == named
 
 
 def test_output_scale_is_the_running_maximum() -> None:
