@@ -283,7 +283,7 @@ class SceneFields(Declaration):
             number = value_of(self.bodies[name].copies or 0, values, *loc)
             if number not in range(1, _MOST_COPIES + 1):
                 raise DeclarationProblem(
-                    f"must be a whole number from 1 to {_MOST_COPIES}, not {number:g}", loc=loc
+                    f"must be a whole number from 1 to {_MOST_COPIES}, not {number:.15g}", loc=loc
                 )
             counts[name] = int(number)
         return counts
