@@ -133,13 +133,15 @@ class Steps(NamedTuple):
     @classmethod
     def of(cls, chunk: Chunk, coordinates: int, begin: Clock) -> Steps:
         """Return the steps of a chunk."""
-        counts, times = np.ones(len(chunk.codes), np.int64), list[Array]()
-        for k in np.flatnonzero(np.any(chunk.struck, axis=1)).tolist():
-            times.append(0.5 * chunk.h + np.unique(chunk.region_delay[k, chunk.struck[k]]))
-            counts[k] += len(times[-1])
+        k, struck = np.nonzero(chunk.struck)
+        delays = chunk.region_delay[k, struck]
+        order = np.lexsort((delays, k))
+        k, delays = k[order], delays[order]
+        differs = np.append(True, (k[1:] > k[:-1]) | (delays[1:] > delays[:-1]))[: len(k)]
+        counts = 1 + np.bincount(k[differs], minlength=len(chunk.codes))
         places, of_piece = np.append(0, counts.cumsum()), np.arange(len(counts)).repeat(counts)
         begins = np.zeros(len(of_piece))
-        begins[np.arange(len(begins)) != places[of_piece]] = np.concatenate([np.zeros(0), *times])
+        begins[np.arange(len(begins)) != places[of_piece]] = 0.5 * chunk.h + delays[differs]
         several = bool(counts.max(initial=0) > 2)
         return cls(
             begin, chunk.h, coordinates, _compact(chunk.states), _compact(chunk.solved),
