@@ -19,6 +19,7 @@ from contacts.states import (
     OPEN,
     OPEN_CODE,
     RESTS,
+    SLIDE,
     SLIPS,
     STATES,
     cause_of,
@@ -34,6 +35,7 @@ from statechart.automaton.trace import Arc, Jump, Key
 from statechart.automaton.trace_store import Blocks
 
 _OPEN = [code for code, state in STATES.items() if state in OPEN]
+_SLIDES = (SLIDE, *SLIPS)  # Bodies slide without a direction.
 # Largest arc, bytes; a longer one is split.
 _LONGEST = 2**23
 
@@ -145,15 +147,14 @@ class Recorder:
         """Return the modes (k, r) at the begins of steps, in their order.
 
         A disabled contact that closes at once is free first, as with events. A slip that has
-        stopped in the step before, and a coupling that opens or closes, precede an impact. Impacts
-        elsewhere do not delay the mode of a region.
+        stopped in the step before, and a coupling that opens or closes, precede an impact; the slip
+        of a body precedes its own impacts only. Impacts elsewhere do not delay the mode of a
+        region.
         """
         hit: Bools = np.any(chunk.struck, axis=1)[:, None]
         was, last = self._before(shown), np.vstack([self._raw, chunk.modes[:-1]])
         enabled = (was == OFF_CODE) & (shown != OFF_CODE) & (chunk.struck | (shown != FREE))
-        stopped = hit & self.sticks
-        if self._sticking:
-            stopped &= np.isin(was, SLIPS) & np.isin(last, [*RESTS])
+        stopped = (chunk.struck | (hit & self.sticks)) & _stops(was, last)
         turned = hit & ((was == OPEN_CODE) != (shown == OPEN_CODE))
         early = np.where(enabled, FREE, np.where(shown == OFF_CODE, OFF_CODE, was))
         early = np.where(turned, shown, np.where(stopped, last, early))
@@ -240,8 +241,7 @@ class Recorder:
     def slips_end(self, chunk: Chunk) -> Bools:
         """Return the regions (k, r) whose recorded slip ends with a step, if they then stick."""
         shown = self.recorded_modes(chunk)
-        ends: Bools = self.sticks & np.isin(shown, SLIPS) & np.isin(chunk.modes, [*RESTS])
-        return ends
+        return _stops(shown, chunk.modes)
 
     def begin(self, step: Chunk, which: Bools) -> bool:
         """Append jumps of regions (r,) at the begin of the next step; return if there are any."""
@@ -275,19 +275,21 @@ class Recorder:
     def recorded_modes(self, chunk: Chunk) -> Ints:
         """Return the recorded modes: a slip lasts to the end of the step in which it stops.
 
-        An impact that stops a slip ends it at once. A region that closes without an impact slips in
-        the step in which it closes, unless it lands with a slip of first order in the step: it
-        rests from its landing on.
+        One that turns round, and rests at the end of one step, does not stick. An impact that stops
+        a slip ends it at once. A region that closes without an impact slips in that step, unless it
+        lands with a slip of first order in the step: it rests from its landing on.
         """
         codes = chunk.modes
-        if not self._sticking:
-            return codes
         before = np.vstack([self._raw, codes[:-1]])
-        slid, rests = np.isin(before, SLIPS), np.isin(codes, [*RESTS])
-        in_impact = chunk.struck | chunk.impulses.any(axis=2)
-        shown = np.where(rests & slid & self.sticks & ~in_impact, before, codes)
+        stops = _stops(before, codes)
+        in_impact = chunk.struck[stops] | chunk.impulses[stops].any(axis=1)
+        shown = codes.copy()
+        shown[stops] = np.where(in_impact, codes[stops], before[stops])
+        if not self._sticking:
+            return shown
+        rests = np.isin(codes, [*RESTS])
         closes = (rests | np.isin(codes, SLIPS)) & np.isin(before, _OPEN)
-        closes &= self.sticks & ~in_impact
+        closes &= self.sticks & ~(chunk.struck | chunk.impulses.any(axis=2))
         settling = np.isin(self.row, [*RESTS]) & np.isin(self._raw, SLIPS)
         resting = [(0, i) for i in np.flatnonzero(settling).tolist()]
         for k in np.flatnonzero(closes.any(axis=1)).tolist():
@@ -387,6 +389,13 @@ class Recorder:
         cause = cause_of(STATES[before], STATES[after])
         is_lasting = cause in ("liftoff", "stick", "slip", "reverse")
         return self.again if struck and is_lasting else cause
+
+
+def _stops(before: Ints, after: Ints) -> Bools:
+    """Return the regions (k, r) that slip in the modes `before` and rest in those `after`."""
+    stops, changed = np.zeros(before.shape, np.bool_), np.nonzero(before != after)
+    stops[changed] = np.isin(before[changed], _SLIDES) & np.isin(after[changed], [*RESTS])
+    return stops
 
 
 class PoseRecorder:

@@ -184,3 +184,50 @@ def test_resting_bodies_stay_while_another_keeps_slipping(load: float) -> None:
         errors.append(abs(outputs["top"] - third))
     assert errors[0] < 1e-3
     assert errors[1] < errors[0] / 5
+
+
+CARRIED = """
+kind: scene
+name: carried
+parameters: {mu: 0.2, m: 0.5, M: 2, v: 0.8, F: 0}
+gravity: 9.81
+bodies:
+  load: {mass: m, inertia: m*0.1**2/2, start: {y: 0.1, dx: v}, shape: SHAPE}
+  plank: {mass: M, inertia: 1, start: {y: -0.1}, shape: {polygon: [[-2, -0.1], [2, -0.1], [2, 0.1],
+    [-2, 0.1]]}}
+surfaces: {floor: {height: -0.2}}
+collisions:
+  load: {bodies: [load, plank], friction: mu, restitution: 0}
+  plank: {bodies: [plank], surfaces: [floor], friction: 0, restitution: 0}
+forces: {push: {body: plank, force: [F, 0]}}
+stop: {time: 0.5}
+settings: {engine: impulse}
+outputs: {dx: {value: load.dx}}
+"""
+BOX = "{polygon: [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]}"
+
+
+@pytest.mark.parametrize(("shape", "share"), [(BOX, 1.0), ("{disc: 0.1}", 3.0)])
+@pytest.mark.parametrize("part", [0.3, 1.2, 3.0])
+@pytest.mark.parametrize("step", [1e-2, 3.1e-3, 1e-3, 1.7e-4])
+def test_a_load_on_a_pushed_plank_sticks_only_if_friction_holds_it(shape, share, part, step):
+    """Its slip v - a t, with a = F/M + b and b = mu m g (1/M + s/m), ends at v/a.
+
+    There it sticks if F/M < b; a disc, with s = 3, rolls from then on. Otherwise it slips back.
+    """
+    mu, m, large, v = 0.2, 0.5, 2.0, 0.8
+    most = mu * m * G * (1.0 / large + share / m)
+    force, ends = part * large * most, v / (part * most + most)
+    text = read_text(CARRIED.replace("SHAPE", shape))
+    result = Runner(interpret(text), step=step).run({"F": force})
+    events = [(jump.cause, jump.t) for jump in result.trace.jumps if jump.region == "load"]
+    later, slows = 0.5 - ends, mu * G
+    if part > 1.0:
+        assert [cause for cause, _ in events] == ["touchdown"]
+        speed = v - slows * ends + slows * later
+    else:
+        assert [cause for cause, _ in events] == ["touchdown", "stick"]
+        assert ends <= events[1][1] <= ends + 1.001 * step
+        # The load needs the friction H of H (1/M + s/m) = F/M.
+        speed = v - slows * ends + part * slows * later
+    assert result.outputs["dx"] == pytest.approx(speed, abs=2.0 * slows * step)
