@@ -66,9 +66,9 @@ _FRICTION = (
     "the surface, friction",
 )
 _CARRIED = (
-    "forces of joints and couplings follow from the others",
-    "for friction in a joint, write couplings: {{f: {{joint: JOINT, limit: F}}}} with F a formula of "
-    "places and velocities",
+    "what joints and couplings carry follows from the other forces",
+    "for friction in a joint, write couplings: {{f: {{joint: JOINT, limit: F}}}} with F a formula "
+    "of places and velocities",
 )
 _OF_FORCES = {"gap": _PUSH, "slip": _PUSH, "V": _FRICTION, "H": _FRICTION}
 
@@ -225,10 +225,8 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
         )
     owner, _, quantity = name.rpartition(".")
     if loc[0] in ("forces", "couplings") and owner and name in scene.quantity_names:
-        if owner in scene.contacts or quantity not in ("gap", "slip"):
-            laws = _OF_FORCES if owner in scene.contacts else {}
-            why, advice = laws.get(quantity, _CARRIED)
-            return why, advice.format(owner)
+        law = _OF_FORCES.get(quantity, _CARRIED) if owner in scene.contacts else _CARRIED
+        return law[0], law[1].format(owner)
     if name == INDEX and loc[-2:-1] == ("start",):
         return "it is the number of a copy", "add copies: N to the body"
     if name == INDEX and any(body.copies is not None for body in scene.bodies.values()):
