@@ -126,7 +126,7 @@ class Mechanics(Geometry):
             for name, coefficients in self._coefficients.items()
             if "static" in coefficients
         }
-        self._asked = {
+        self.state_symbols = {
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
             for i, member in enumerate(scene.condition_states)
         }
@@ -142,7 +142,7 @@ class Mechanics(Geometry):
         self.controls = (
             *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
-            *self._asked.values(),
+            *self.state_symbols.values(),
             *self._closed.values(),
             *(rate for rate, _ in self._led.values()),
             *(acceleration for _, acceleration in self._led.values()),
@@ -433,7 +433,7 @@ class Mechanics(Geometry):
             values[rate] = self.formula(flows.get(name, 0))
             values[acceleration] = self.rate(values[rate])
         active = self._controls.flat[region].active(state)
-        for (controller, name), symbol in self._asked.items():
+        for (controller, name), symbol in self.state_symbols.items():
             if controller == region:
                 values[symbol] = sp.Integer(1 if name in active else -1)
         if region in self._closed:
@@ -512,7 +512,7 @@ class Mechanics(Geometry):
         if not (contact.enabled or ends):
             return None
         off = f"{name}.{DISENGAGED if coupling else OFF}"
-        return gate_of(off, contact.enabled, self._relation_names, self._asked, ends)
+        return gate_of(off, contact.enabled, self._relation_names, self.state_symbols, ends)
 
     def valleys(self, name: str, *, acute: bool = False) -> dict[str, sp.Expr]:
         """Return the convexity of corners between a contact's edge and edges of the same point.

@@ -46,6 +46,7 @@ class SceneSetup(Setup):
     capture: float  # Rebounds slower than this are summed instead of simulated
     # Stop condition -> the tolerance of its margin, from its initial value
     bands: Mapping[str, float]
+    coordinates: tuple[str, ...] = ()  # Their names, for messages
     start_depth: float = 0.0  # Initial penetration of bodies with shapes
     # Residual motion of resting bodies after steps, relative to the size of each number: round-off
     # of impulses (1e-16 of the speeds times the mass ratio) for points, the residual of the solver

@@ -205,6 +205,7 @@ class SceneNumbers:
             simultaneous=self.scene.simultaneous,
             paradox=self.scene.paradox,
             capture=force_uncertainty(relative) * scales.speed,
+            coordinates=self.scene.variables,
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
                 for n, v in zip(self.stops, margins, strict=True)
