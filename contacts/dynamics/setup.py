@@ -87,7 +87,7 @@ def tolerated(relative: float) -> tuple[float, float]:
 def write_tolerances(gap: float, speed: float, scales: Array, tolerances: Array) -> None:
     """Write the tolerances (6,) of all kinds of margins, from those of gap and speed in `scales`.
 
-    For the scales (5,) see `contacts.dynamics.scales.measure`.
+    For the scales (6,) see `contacts.dynamics.scales.measure`.
     """
     tolerances[PLAIN], tolerances[GAP] = 0.0, max(gap * scales[0], scales[4])
     tolerances[SPEED], tolerances[FORCE] = speed * scales[1], FORCE_BAND * scales[3]

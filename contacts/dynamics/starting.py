@@ -79,8 +79,8 @@ def weak_coupling_warnings(
     couplings = laws[len(laws) - len(limits) :]
     return [
         f"coupling {law.name!r} slips up to {force_tolerance / static:.1g} of its limit too late, "
-        f"as {static:.3g} is tiny beside the forces of the scene: put heavy bodies into another "
-        "scene, or write lengths in a smaller unit if it limits a couple"
+        f"as {law.lever * static:.3g} is tiny beside the forces of the scene: put heavy bodies "
+        "into another scene"
         for law, static in zip(couplings, limits[:, 0].tolist(), strict=True)
         if law.carrier < 0 and 0.0 < _WEAK * static < force_tolerance
     ]
@@ -161,10 +161,11 @@ def _solid(surface: Surface) -> str:
     return ""
 
 
-def check_limits(names: Sequence[str], limits: Array) -> None:
-    """Refuse static and kinetic limits (k, 2) of couplings that are invalid at the start."""
-    for name, (static, kinetic) in zip(names, limits.tolist(), strict=True):
-        loc = ("couplings", name, "limit")
+def check_limits(laws: Sequence[ContactLaw], limits: Array) -> None:
+    """Refuse static and kinetic limits (k, 2) of the last k laws that are invalid at the start."""
+    for law, sizes in zip(laws[len(laws) - len(limits) :], limits, strict=True):
+        static, kinetic = (law.lever * sizes).tolist()
+        loc = ("couplings", law.name, "limit")
         if not (math.isfinite(static) and math.isfinite(kinetic)):
             problem, advice = "it has no finite value at the start", "write a limit that has one"
         elif kinetic < 0.0:

@@ -154,7 +154,7 @@ class SceneLaws:
         declared = islice(setup.contacts, len(scene.contacts))
         for law, contact in zip(declared, snapshot.contacts, strict=False):
             check_start(scene, law, contact[:3], depth, near, slow)
-        check_limits(self._names[self._count :], snapshot.limits)
+        check_limits(setup.contacts, snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]
         touching = [c.gap <= near and abs(c.gap_rate) <= slow for c in snapshot.contacts]
         key = tuple(
