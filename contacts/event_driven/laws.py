@@ -287,7 +287,7 @@ class SceneLaws:
         for law, soft, state in zip(
             setup.contacts, snapshot.soft, choice.taken.states, strict=False
         ):
-            if soft and state == "free" and law.cone_n == 0.0 and f"{law.name}.gap" in fired:
+            if soft and taken == "free" and law.cone_n == 0.0 and f"{law.name}.gap" in fired:
                 raise NoConsistentMode(
                     f"contact {law.name!r} touches with a slip, and its infinite friction has no "
                     f"normal force yet; write contacts.{law.name}.friction: 100"
