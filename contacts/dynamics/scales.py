@@ -59,6 +59,11 @@ class Scales:
         return np.array(scales, float)
 
     @property
+    def farthest(self) -> float:
+        """The largest coordinate."""
+        return self.rounding / (_ROUNDING_UNITS * EPS)
+
+    @property
     def coordinates(self) -> Array:
         """The sizes (n,) of the coordinates."""
         return self.sizes[: len(self.sizes) // 2]

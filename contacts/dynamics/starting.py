@@ -56,13 +56,16 @@ def hovering_warnings(
 ) -> list[str]:
     """Return a warning for each contact that starts above its surface by a tiny gap.
 
-    `names` are the contacts that are not off, `gaps_and_rates` their gaps and gap rates.
+    `names` are the contacts that are not off, `gaps_and_rates` their gaps and gap rates. The
+    length may be a stopping distance: the gap is tiny beside the largest coordinate, too, unless it
+    is that coordinate.
     """
     return [
         f"contact {name!r} starts {gap:.3g} off surface {scene.contacts[name].surface!r}: "
         "write the exact coordinate if it should rest there"
         for name, (gap, rate, *_) in zip(names, gaps_and_rates, strict=True)
         if starts_hovering(gap, rate, gap_tolerance, scales.length, scales.speed)
+        and not _HOVERING * scales.farthest < gap < scales.farthest
     ]
 
 

@@ -66,7 +66,7 @@ _FRICTION = (
     "the surface, friction",
 )
 _CARRIED = (
-    "what joints and couplings carry follows from the other forces",
+    "loads of joints and couplings follow from the other forces",
     "for friction in a joint, write couplings: {{f: {{joint: JOINT, limit: F}}}} with F a formula "
     "of places and velocities",
 )
