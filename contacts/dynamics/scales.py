@@ -29,8 +29,8 @@ _ROUNDING_UNITS = 16.0
 _MAX_TURN_MOTION = 2.0
 # Below it the squares of lengths, times and rates underflow.
 _MIN_SIZE = 1e-100
-# The longest duration that gives a length. A later end means "late enough": with T = 1e8 the
-# round-off of g T^2 would hide a fall of 1.
+# The longest duration that gives a length without springs. A later end means "late enough": with
+# T = 1e8 the round-off of g T^2 would hide a fall of 1.
 _LONGEST = 1e4
 
 
@@ -141,7 +141,7 @@ class ScaleTape:
     turn), the differences of positions, the initial gaps and the ranges of the prescribed motions;
     and at least the stopping distance ``v^2 / a``. Without extents, and if none of the others
     exceeds the round-off of the distances ``v T`` and ``a T^2`` covered by the run, the length is
-    that distance; T is the duration up to 1e4, or a shorter period of springs. The acceleration
+    that distance; T is a shorter period of springs, or the duration up to 1e4. The acceleration
     is the largest of gravity (or of the forces without it) and of the prescribed motions; speed and
     force follow.
 
@@ -394,7 +394,7 @@ def measure(
     length, start, speed = max(length, reach), largest[SPEEDS], max(largest[SPEEDS], driven_speed)
     period = min(duration, _LONGEST)
     if largest[STIFFNESS] * (duration * duration) > 1.0:
-        period = min(period, 1.0 / math.sqrt(largest[STIFFNESS]))
+        period = 1.0 / math.sqrt(largest[STIFFNESS])
     farthest = max(speed * period, acceleration * (period * period))
     has_length = True
     # Initial distances below the round-off of the distance covered give no length.
