@@ -30,11 +30,14 @@ class ContactLaw(NamedTuple):
     # Index of the contact whose normal force multiplies the limits of a coupling; -1: none
     carrier: int = -1
     pair: int = -1  # Its number of `touching_pairs`
+    lever: float = 1.0  # From the force of a coupling to its couple
 
 
-def coupling_law(name: str, states: tuple[str, ...], carrier: int = -1) -> ContactLaw:
+def coupling_law(
+    name: str, states: tuple[str, ...], carrier: int = -1, lever: float = 1.0
+) -> ContactLaw:
     """Return the law of a coupling, which only sticks or slips."""
-    return ContactLaw(name, states, 0.0, 1.0, 0.0, "newton", True, carrier)
+    return ContactLaw(name, states, 0.0, 1.0, 0.0, "newton", True, carrier, lever=lever)
 
 
 def touching_pairs(scene: Scene) -> Ints:

@@ -26,6 +26,7 @@ from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import (
     GAP_OFFSET,
     HELD_FORCE,
+    LEVER,
     SIZE,
     cone_edge,
     friction_cones,
@@ -106,7 +107,7 @@ class Mechanics(Geometry):
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
         }
-        # Moments M of couplings; their limits take the role of normal forces.
+        # Couples of couplings over their levers; their limits take the role of normal forces.
         self.couples = {
             name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
         }
@@ -125,7 +126,7 @@ class Mechanics(Geometry):
             for name, coefficients in self._coefficients.items()
             if "static" in coefficients
         }
-        self._asked = {
+        self.state_symbols = {
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
             for i, member in enumerate(scene.condition_states)
         }
@@ -141,7 +142,7 @@ class Mechanics(Geometry):
         self.controls = (
             *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
-            *self._asked.values(),
+            *self.state_symbols.values(),
             *self._closed.values(),
             *(rate for rate, _ in self._led.values()),
             *(acceleration for _, acceleration in self._led.values()),
@@ -396,19 +397,25 @@ class Mechanics(Geometry):
         return tuple(component for mu in mus for component in cone_edge(mu))
 
     def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
-        """Return the bounds of a coupling's couple, at rest and in motion.
+        """Return the bounds of a coupling's couple over its lever, at rest and in motion.
 
         Those of rolling resistance are divided by the normal force of its contact.
         """
-        static, kinetic = self.scene.couplings[name].bounds
-        return self.formula(static, **self.placed), self.formula(kinetic, **self.placed)
+        bounds, lever = self.scene.couplings[name].bounds, self.lever(name)
+        static, kinetic = (self.formula(bound, **self.placed) / lever for bound in bounds)
+        return static, kinetic
+
+    def lever(self, name: str) -> sp.Expr:
+        """Return the length that converts angles of a coupling to lengths; 1 along a guide."""
+        lever: sp.Expr = self.parameters.symbols.get(LEVER, sp.S.One)
+        return sp.S.One if self.scene.along_guide(name) else lever
 
     def coupling(self, name: str) -> CouplingSymbols:
         """Return the quantities of a coupling."""
         static, kinetic = self.limits(name)
         coupling = self.scene.couplings[name]
         load = self.forces[coupling.contact][0] if isinstance(coupling, Rolling) else sp.S.One
-        return CouplingSymbols(self.contact(name), static * load, kinetic * load)
+        return CouplingSymbols(self.contact(name), static * load, kinetic * load, self.lever(name))
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return the values of the `controls` that a state of a controller sets."""
@@ -426,7 +433,7 @@ class Mechanics(Geometry):
             values[rate] = self.formula(flows.get(name, 0))
             values[acceleration] = self.rate(values[rate])
         active = self._controls.flat[region].active(state)
-        for (controller, name), symbol in self._asked.items():
+        for (controller, name), symbol in self.state_symbols.items():
             if controller == region:
                 values[symbol] = sp.Integer(1 if name in active else -1)
         if region in self._closed:
@@ -462,7 +469,8 @@ class Mechanics(Geometry):
             symbols = self.contact(name)
             result |= {f"{name}.{key}": getattr(symbols, key) for key in ("gap", "slip", "V", "H")}
         for name, couple in self.couples.items():
-            result |= {f"{name}.slip": self.contact(name).slip, f"{name}.M": couple}
+            lever = self.lever(name)
+            result |= {f"{name}.slip": self.contact(name).slip / lever, f"{name}.M": lever * couple}
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
         result |= {f"{name}.friction": used for name, used in self.used_friction.items()}
         for name in self._switched.keys() - self.used_friction.keys():
@@ -484,12 +492,11 @@ class Mechanics(Geometry):
     @cached_property
     def _relation_names(self) -> dict[str, sp.Expr]:
         """Expressions of the names in relations of `enabled`."""
-        scene = self.scene
-        return {**self.known, **self.placed} | {
-            f"{name}.{quantity}": getattr(self.contact(name), quantity)
-            for name in scene.frictional
-            for quantity in (("slip",) if name in scene.couplings else ("gap", "slip"))
-        }
+        names = {**self.known, **self.placed}
+        for name in self.scene.contacts:
+            names |= {f"{name}.{key}": getattr(self.contact(name), key) for key in ("gap", "slip")}
+        slips = {n: self.contact(n).slip / self.lever(n) for n in self.scene.couplings}
+        return names | {f"{name}.slip": slip for name, slip in slips.items()}
 
     def _gate(self, name: str) -> Gate | None:
         """Return the gate of a contact; None if it has no conditions and no ends of an edge."""
@@ -505,7 +512,7 @@ class Mechanics(Geometry):
         if not (contact.enabled or ends):
             return None
         off = f"{name}.{DISENGAGED if coupling else OFF}"
-        return gate_of(off, contact.enabled, self._relation_names, self._asked, ends)
+        return gate_of(off, contact.enabled, self._relation_names, self.state_symbols, ends)
 
     def valleys(self, name: str, *, acute: bool = False) -> dict[str, sp.Expr]:
         """Return the convexity of corners between a contact's edge and edges of the same point.
@@ -622,7 +629,7 @@ class Mechanics(Geometry):
         return tuple((row.force, row.jacobian) for row in self.joint_rows)
 
     def _coupling_symbols(self, name: str) -> ContactSymbols:
-        """Return the quantities of a coupling: its slip is an angular rate, its gap is zero."""
+        """Return the quantities of a coupling: its slip is a rate by lever, its gap is zero."""
         guide = self.scene.along_guide(name)
         if guide:
             joint = self.scene.joints[self.scene.couplings[name].joint or ""]
@@ -633,11 +640,14 @@ class Mechanics(Geometry):
             angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
             turn = angles[0] - sp.Add(*angles[1:])
         zero, still = sp.S.Zero, Row()
-        slip, jacobian, bias, acceleration = self._motion(turn)
+        turn_rate, gradient, *rest = self._motion(turn)
+        lever = self.lever(name)
+        place, slip, bias, acceleration = (lever * number for number in (turn, turn_rate, *rest))
+        jacobian = Row({i: lever * entry for i, entry in gradient.items()})
         anchor, couple = sp.Symbol(f"{name}.angle0", real=True), self.couples[name]
-        place, along, out = (turn, zero), (sp.S.One, zero), (zero, sp.S.One)
+        along, out = (sp.S.One, zero), (zero, sp.S.One)
         return ContactSymbols(
-            name, zero, zero, zero, slip, place, place, along, out,
+            name, zero, zero, zero, slip, (place, zero), (place, zero), along, out,
             still, jacobian, zero, bias, zero, acceleration,
             zero, couple, friction_cones(self.scene, name, None, self.known, slip),
             self._padded(name, still, jacobian), self._reactions, Hold((), (), ()),

@@ -32,6 +32,8 @@ HELD_FORCE = "scene.held_force"
 """Parameters ``scene.held_force0`` of scenes that switch: see `contacts.dynamics.held_forces`."""
 SIZE = "scene.size"
 """Parameters ``scene.size0`` of scenes with `enabled`: sizes of coordinates and rates by steps."""
+LEVER = "scene.lever"
+"""Parameter of scenes whose couplings turn: see `contacts.dynamics.scales.Scales`."""
 MASS_UNIT = "scene.mass_unit"
 """Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
 MAGNITUDES = 1e-40, 1e40
@@ -128,6 +130,8 @@ def scene_parameters(scene: Scene) -> Parameters:
             expressions |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
         expressions |= _sizes(scene, len(scene.variables))
         values = scene.values({})
+        if not all(map(scene.along_guide, scene.couplings)):
+            expressions[LEVER] = sp.S.One
         masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
         if masses and not MAGNITUDES[0] <= min(masses) <= max(masses) <= MAGNITUDES[1]:
             # Set by `contacts.dynamics.scales.mass_unit`.

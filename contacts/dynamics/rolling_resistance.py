@@ -75,7 +75,7 @@ def apply_rolling_resistance(
 
 def couples(laws: Sequence[ContactLaw], impulses: Array) -> dict[str, float]:
     """Return the angular impulses of rolling resistance other than zero, by name."""
-    sizes = {f"{law.name}.M": impulses.item(i, 1) for i, law in rolling(laws)}
+    sizes = {f"{law.name}.M": law.lever * impulses.item(i, 1) for i, law in rolling(laws)}
     return {name: size for name, size in sizes.items() if size}
 
 

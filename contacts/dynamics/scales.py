@@ -29,8 +29,8 @@ _ROUNDING_UNITS = 16.0
 _MAX_TURN_MOTION = 2.0
 # Below it the squares of lengths, times and rates underflow.
 _MIN_SIZE = 1e-100
-# The longest duration that gives a length. A later end means "late enough": with T = 1e8 the
-# round-off of g T^2 would hide a fall of 1.
+# The longest duration that gives a length without springs. A later end means "late enough": with
+# T = 1e8 the round-off of g T^2 would hide a fall of 1.
 _LONGEST = 1e4
 
 
@@ -49,13 +49,19 @@ class Scales:
     # (2 n,): Changes of each coordinate and rate that move a point by the length, or change its
     # velocity by the speed
     sizes: Array
+    # Converts angles of couplings to lengths: the length; 1 in a scene without one
+    lever: float = 1.0
 
     @property
     def numbers(self) -> Array:
-        """The scales (5,) as `measure` writes them."""
-        return np.array(
-            [self.length, self.speed, self.acceleration, self.force, self.rounding], float
-        )
+        """The scales (6,) as `measure` writes them."""
+        scales = self.length, self.speed, self.acceleration, self.force, self.rounding, self.lever
+        return np.array(scales, float)
+
+    @property
+    def farthest(self) -> float:
+        """The largest coordinate."""
+        return self.rounding / (_ROUNDING_UNITS * EPS)
 
     @property
     def coordinates(self) -> Array:
@@ -135,7 +141,7 @@ class ScaleTape:
     turn), the differences of positions, the initial gaps and the ranges of the prescribed motions;
     and at least the stopping distance ``v^2 / a``. Without extents, and if none of the others
     exceeds the round-off of the distances ``v T`` and ``a T^2`` covered by the run, the length is
-    that distance; T is the duration up to 1e4, or a shorter period of springs. The acceleration
+    that distance; T is a shorter period of springs, or the duration up to 1e4. The acceleration
     is the largest of gravity (or of the forces without it) and of the prescribed motions; speed and
     force follow.
 
@@ -217,14 +223,14 @@ class ScaleTape:
         """
         numbers = self.tape.at(state, values, 0.0)
         ranges = np.empty((len(self.motions.outputs), 2))
-        scales, sizes = np.empty(5), np.empty(self.size)
+        scales, sizes = np.empty(6), np.empty(self.size)
         duration = horizon(numbers, self.begins)
         tape_ranges(*self.motions.program, state, values, duration, ranges)
         counts = self.places, self.gravity, self.paths
         if not measure(numbers, self.begins, *counts, ranges, scales, sizes):
             self._check(numbers)
-        length, speed, acceleration, force, rounding = scales.tolist()
-        return Scales(length, speed, acceleration, force, rounding, sizes)
+        length, speed, acceleration, force, rounding, lever = scales.tolist()
+        return Scales(length, speed, acceleration, force, rounding, sizes, lever)
 
     def _check(self, numbers: Array) -> None:
         """Raise at the first place, speed or gravity that is not finite or too large."""
@@ -334,8 +340,8 @@ def measure(
     """Compute the scales from a scene's initial numbers; False if some are out of range.
 
     `ranges` (m, 2) are those of `ScaleTape.motions` over the run; see `ScaleTape` for the other
-    inputs. Fills `scales` (5,) with length, speed, acceleration, force and round-off of positions,
-    and `sizes` (2 n,) of coordinates and rates.
+    inputs. Fills `scales` (6,) with length, speed, acceleration, force, round-off of positions and
+    lever, and `sizes` (2 n,) of coordinates and rates.
     """
     n = sizes.shape[0] // 2
     groups = begins.shape[0] - 1
@@ -388,11 +394,12 @@ def measure(
     length, start, speed = max(length, reach), largest[SPEEDS], max(largest[SPEEDS], driven_speed)
     period = min(duration, _LONGEST)
     if largest[STIFFNESS] * (duration * duration) > 1.0:
-        period = min(period, 1.0 / math.sqrt(largest[STIFFNESS]))
+        period = 1.0 / math.sqrt(largest[STIFFNESS])
     farthest = max(speed * period, acceleration * (period * period))
+    has_length = True
     # Initial distances below the round-off of the distance covered give no length.
     if extent <= _MIN_SIZE and length <= max(_MIN_SIZE, EPS * farthest):
-        length = farthest if farthest > 0.0 else 1.0
+        length, has_length = farthest if farthest > 0.0 else 1.0, False
     elif acceleration > 0.0:
         length = max(length, min(start * duration, start * start / acceleration))
         speed = start
@@ -402,6 +409,7 @@ def measure(
     speed = max(start, driven_speed, math.sqrt(acceleration * length))
     scales[0], scales[1], scales[2] = length, speed, acceleration
     scales[3], scales[4] = largest[MASS] * acceleration, rounding
+    scales[5] = length if has_length else 1.0
     for i in range(n):
         move = largest[GRAVITY + gravity + i]
         # A coordinate that moves no point is an angle about a centre.

@@ -46,6 +46,7 @@ class SceneSetup(Setup):
     capture: float  # Rebounds slower than this are summed instead of simulated
     # Stop condition -> the tolerance of its margin, from its initial value
     bands: Mapping[str, float]
+    coordinates: tuple[str, ...] = ()  # Their names, for messages
     start_depth: float = 0.0  # Initial penetration of bodies with shapes
     # Residual motion of resting bodies after steps, relative to the size of each number: round-off
     # of impulses (1e-16 of the speeds times the mass ratio) for points, the residual of the solver
@@ -86,7 +87,7 @@ def tolerated(relative: float) -> tuple[float, float]:
 def write_tolerances(gap: float, speed: float, scales: Array, tolerances: Array) -> None:
     """Write the tolerances (6,) of all kinds of margins, from those of gap and speed in `scales`.
 
-    For the scales (5,) see `contacts.dynamics.scales.measure`.
+    For the scales (6,) see `contacts.dynamics.scales.measure`.
     """
     tolerances[PLAIN], tolerances[GAP] = 0.0, max(gap * scales[0], scales[4])
     tolerances[SPEED], tolerances[FORCE] = speed * scales[1], FORCE_BAND * scales[3]

@@ -19,7 +19,7 @@ from sympy.utilities.iterables import connected_components
 from contacts.dynamics.conditions import Conditions, undecided_couplings
 from contacts.dynamics.contact_law import ContactLaw, coupling_law, touching_pairs
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT, with_sizes
+from contacts.dynamics.parameters import GAP_OFFSET, LEVER, MASS_UNIT, with_sizes
 from contacts.dynamics.scales import Scales, ScaleTape, VariableSizes, horizon, mass_unit, measure
 from contacts.dynamics.setup import (
     FORCE_BAND,
@@ -56,9 +56,6 @@ POINT_MASS = 1e-12
 FAR, FAR_IN_TURN = 1e-10, 1e-12
 # Least share of a body in the mass of the scene without a warning that its events are late.
 _MIN_SHARE = 1e-6
-# Least size of a scene, and reciprocal of the largest, in which couples and angular rates have the
-# tolerances of forces and speeds; measured: events are wrong below 1e-8 and above 1e8.
-_SHORTEST = 1e-7
 # First horizon of a run, in the scene's unit of time.
 LOOK_AHEAD = 64.0
 
@@ -165,8 +162,10 @@ class SceneNumbers:
             # Blame a formula that has no finite value first.
             check_all(finite_checks(self.scene), self.scene.values(overrides))
             raise
+        values = values.copy()
+        if LEVER in self.places:
+            values[self.places[LEVER]] = scales.lever
         if MASS_UNIT in self.places:
-            values = values.copy()
             values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
         if stepped:
             values = with_sizes(values, self.places, scales.sizes)
@@ -197,13 +196,7 @@ class SceneNumbers:
             initial=initial,
             tolerances=dict(zip(KINDS, tolerances.tolist(), strict=True)),
             short=SHORT,
-            warnings=(
-                *self.lint,
-                *warnings,
-                *implied,
-                *_far(scales, self.far),
-                *_scaled_couples(self.scene, scales),
-            ),
+            warnings=(*self.lint, *warnings, *implied, *_far(scales, self.far)),
             sizes=self._variable_sizes.at(scales, values, initial),
             precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
@@ -212,6 +205,7 @@ class SceneNumbers:
             simultaneous=self.scene.simultaneous,
             paradox=self.scene.paradox,
             capture=force_uncertainty(relative) * scales.speed,
+            coordinates=self.scene.variables,
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
                 for n, v in zip(self.stops, margins, strict=True)
@@ -274,7 +268,8 @@ class SceneNumbers:
         ]
         for name, one in self.scene.couplings.items():
             carrier = contacts.index(one.contact) if isinstance(one, Rolling) else -1
-            laws.append(coupling_law(name, self._region_states[name], carrier))
+            lever = 1.0 if self.scene.along_guide(name) else float(values[self.places[LEVER]])
+            laws.append(coupling_law(name, self._region_states[name], carrier, lever))
         return tuple(laws)
 
     def coefficients(self, states: Mapping[str, str] | None = None) -> tuple[Ints, Array]:
@@ -311,17 +306,6 @@ def _far(scales: Scales, limit: float) -> Iterator[str]:
         yield (
             f"the scene is {scales.length:.3g} in size, and so far from the origin that "
             f"round-off of positions is {scales.rounding:.2g}; put the origin nearer"
-        )
-
-
-def _scaled_couples(scene: Scene, scales: Scales) -> Iterator[str]:
-    """Yield a warning if couples are too far from forces, and angular rates from speeds."""
-    turning = [name for name in scene.couplings if not scene.along_guide(name)]
-    if turning and not _SHORTEST <= scales.length <= 1.0 / _SHORTEST:
-        yield (
-            f"events of {', '.join(turning)} are inexact: tolerances of couples and angular rates "
-            f"are those of forces and speeds, and the scene is {scales.length:.3g} in size; write "
-            "lengths in a unit in which it is near 1"
         )
 
 
@@ -378,6 +362,7 @@ class SetupRules(NamedTuple):
     paths: int
     forced: Bools  # (s,): Stop conditions that have no value before forces are known
     far: float  # Round-off of positions that warns, relative to the length
+    lever: int  # Index of the lever of couplings among the values; -1: none
 
 
 class Numbers(NamedTuple):
@@ -385,7 +370,7 @@ class Numbers(NamedTuple):
 
     values: Array  # (p,): Of the parameters
     initial: Array  # (n,): State
-    # `scales`, `sizes`: (5,), (n,): See `contacts.dynamics.scales.Scales`
+    # `scales`, `sizes`: (6,), (n,): See `contacts.dynamics.scales.Scales`
     scales: Array
     sizes: Array
     bands: Array  # (s,): Tolerances of the stop conditions
@@ -403,6 +388,7 @@ def setup_rules(numbers: SceneNumbers) -> SetupRules:
         numbers.scale_tape.paths,
         np.array([name in numbers.of_forces for name in numbers.stops], np.bool_),
         numbers.far,
+        numbers.places.get(LEVER, -1),
     )
 
 
@@ -411,7 +397,7 @@ def run_buffer(parameters: int, variables: int, rules: SetupRules) -> Numbers:
     return Numbers(
         np.empty(parameters),
         np.empty(variables),
-        np.empty(5),
+        np.empty(6),
         np.empty(variables),
         np.empty(len(rules.forced)),
     )
@@ -472,6 +458,8 @@ def run_numbers(
         return False
     if run.scales[4] > rules.far * run.scales[0]:
         return False
+    if rules.lever >= 0:
+        values[rules.lever] = run.scales[5]
     code, constants, outputs, _, _ = tape_of(program, tapes[STOPS])
     bands = run.bands
     tape_values(code, constants, outputs, initial, values, 0.0, bands)

@@ -56,13 +56,16 @@ def hovering_warnings(
 ) -> list[str]:
     """Return a warning for each contact that starts above its surface by a tiny gap.
 
-    `names` are the contacts that are not off, `gaps_and_rates` their gaps and gap rates.
+    `names` are the contacts that are not off, `gaps_and_rates` their gaps and gap rates. The
+    length may be a stopping distance: the gap is tiny beside the largest coordinate, too, unless it
+    is that coordinate.
     """
     return [
         f"contact {name!r} starts {gap:.3g} off surface {scene.contacts[name].surface!r}: "
         "write the exact coordinate if it should rest there"
         for name, (gap, rate, *_) in zip(names, gaps_and_rates, strict=True)
         if starts_hovering(gap, rate, gap_tolerance, scales.length, scales.speed)
+        and not _HOVERING * scales.farthest < gap < scales.farthest
     ]
 
 
@@ -76,8 +79,8 @@ def weak_coupling_warnings(
     couplings = laws[len(laws) - len(limits) :]
     return [
         f"coupling {law.name!r} slips up to {force_tolerance / static:.1g} of its limit too late, "
-        f"as {static:.3g} is tiny beside the forces of the scene: put heavy bodies into another "
-        "scene, or write lengths in a smaller unit if it limits a couple"
+        f"as {law.lever * static:.3g} is tiny beside the forces of the scene: put heavy bodies "
+        "into another scene"
         for law, static in zip(couplings, limits[:, 0].tolist(), strict=True)
         if law.carrier < 0 and 0.0 < _WEAK * static < force_tolerance
     ]
@@ -158,10 +161,11 @@ def _solid(surface: Surface) -> str:
     return ""
 
 
-def check_limits(names: Sequence[str], limits: Array) -> None:
-    """Refuse static and kinetic limits (k, 2) of couplings that are invalid at the start."""
-    for name, (static, kinetic) in zip(names, limits.tolist(), strict=True):
-        loc = ("couplings", name, "limit")
+def check_limits(laws: Sequence[ContactLaw], limits: Array) -> None:
+    """Refuse static and kinetic limits (k, 2) of the last k laws that are invalid at the start."""
+    for law, sizes in zip(laws[len(laws) - len(limits) :], limits, strict=True):
+        static, kinetic = (law.lever * sizes).tolist()
+        loc = ("couplings", law.name, "limit")
         if not (math.isfinite(static) and math.isfinite(kinetic)):
             problem, advice = "it has no finite value at the start", "write a limit that has one"
         elif kinetic < 0.0:

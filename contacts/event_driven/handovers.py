@@ -25,6 +25,8 @@ from statechart.formulas.tape import Tape
 _SAMPLES, _BISECTIONS = 8, 50
 # Part of the scene's length: a point that passes an edge so near to its end hardly was meant to.
 _BESIDE = 1e-6
+# Margin of a condition on a state, which no motion nearly meets.
+_OTHER_STATE = 1e300
 _SAMPLE_POINTS = np.linspace(0.0, 1.0, _SAMPLES + 1)
 
 
@@ -148,6 +150,8 @@ class Handovers:
         if states not in self._tapes:
             controllers = self._mechanics.scene.controlled.flat
             controlled = self._mechanics.values_in(dict(zip(controllers, states, strict=True)))
+            for symbol in self._mechanics.state_symbols.values():
+                controlled[symbol] *= _OTHER_STATE
             outputs: list[sp.Expr] = []
             for name in self._gated.values():
                 gate = self._mechanics.gate(name)

@@ -154,7 +154,7 @@ class SceneLaws:
         declared = islice(setup.contacts, len(scene.contacts))
         for law, contact in zip(declared, snapshot.contacts, strict=False):
             check_start(scene, law, contact[:3], depth, near, slow)
-        check_limits(self._names[self._count :], snapshot.limits)
+        check_limits(setup.contacts, snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]
         touching = [c.gap <= near and abs(c.gap_rate) <= slow for c in snapshot.contacts]
         key = tuple(
@@ -284,6 +284,14 @@ class SceneLaws:
                 grown = self._grown(here)
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [choice.place], choice)
+        for law, soft, taken in zip(
+            setup.contacts, snapshot.soft, choice.taken.states, strict=False
+        ):
+            if soft and taken == "free" and law.cone_n == 0.0 and f"{law.name}.gap" in fired:
+                raise NoConsistentMode(
+                    f"contact {law.name!r} touches with a slip, and its infinite friction has no "
+                    f"normal force yet; write contacts.{law.name}.friction: 100"
+                )
         return self._enter(at, here, choice)
 
     def change(self, at: SceneInstant, before: SceneSetup) -> tuple[Jump | None, Flow]:

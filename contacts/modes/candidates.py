@@ -150,7 +150,8 @@ def _solved_combinations(
     judged = zip(combinations, status.tolist(), verdicts.tolist(), strict=True)
     for k, (states, outcome, (violation, contact, kind, number)) in enumerate(judged):
         undetermined = "" if outcome in _DETERMINED else _UNSOLVED.get(outcome, SINGULAR)
-        broken = (laws[int(contact)].name if laws else "", int(kind), number)
+        law, lever = (laws[int(contact)].name, laws[int(contact)].lever) if laws else ("", 1.0)
+        broken = (law, int(kind), number / lever if kind == AGAINST else number * lever)
         violation = math.inf if undetermined else violation
         solved.append(
             Candidate(states, accelerations[k], forces[k], violation, broken, None, undetermined)

@@ -53,7 +53,7 @@ from contacts.states import (
     declared_state,
     undetermined_warning,
 )
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Key, Roles
 from statechart.errors import AmbiguousMode, NoConsistentMode, NonFinite
@@ -275,7 +275,7 @@ def choose(
         refused = _verdicts(case, tried, None)
         note = "Lemke's algorithm tried only these modes" if by_pivoting else ""
         reasons = "; ".join(filter(None, (*_rejections(refused), note)))
-        advice = "; ".join(_advice(laws, closed, tried))
+        advice = "; ".join(_advice(case, tried, setup.coordinates))
         raise NoConsistentMode(". ".join(filter(None, (reasons, advice))), considered=refused)
     continuing = _continuing_candidates(agreeing, tried, case, before)
     taken, warning = _select_candidate(continuing, case, before)
@@ -449,11 +449,9 @@ def _without_new_loads(
     )
 
 
-def _advice(
-    laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Iterable[Candidate]
-) -> Iterator[str]:
+def _advice(case: Case, tried: Iterable[Candidate], coordinates: Sequence[str]) -> Iterator[str]:
     """Yield sentences on how to change a declaration whose state has no consistent mode."""
-    laws = [*compress(laws, closed)]
+    laws = [*compress(case.laws, case.closed)]
     rough = [x.name for x in laws if "pin" in x.states and not {*SLIDING}.intersection(x.states)]
     if rough:
         yield (
@@ -469,7 +467,23 @@ def _advice(
             unlisted = True
             yield f"{law.name} has no {' and no '.join(missing)} among its modes: add it"
     if not unlisted and any(c.undetermined == SINGULAR for c in tried):
-        yield "A body that no contact holds has no mass or no inertia: add it"
+        free = " and ".join(compress(coordinates, _massless(case.snapshot))) or "a body"
+        yield (
+            f"No mass or inertia moves with {free} while no contact holds it: add it to its body"
+        )
+
+
+def _massless(snapshot: Snapshot) -> Bools:
+    """Return a mask of the coordinates in the null space of the mass matrix."""
+    mass, reduction = snapshot.mass, snapshot.reduction
+    diagonal = np.diag(mass)
+    units = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(units[:, None] * mass * units)
+    motions = units[:, None] * vectors[:, values <= _IMPLIED]
+    if reduction is not None:
+        motions = reduction.basis @ motions
+    sizes = np.abs(motions).max(axis=1, initial=0.0)
+    return sizes > _IMPLIED * sizes.max(initial=0.0)
 
 
 def _bearing(candidate: Candidate) -> frozenset[int]:

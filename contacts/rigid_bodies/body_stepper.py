@@ -17,6 +17,7 @@ from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.couplings import ENABLED
 from contacts.collision_detection.surfaces import GRAPH, LINE, PLATE
 from contacts.dynamics.conditions import undecided_couplings
+from contacts.dynamics.contact_law import coupling_law
 from contacts.dynamics.controllers import Controllers, controller
 from contacts.dynamics.parameters import with_sizes
 from contacts.dynamics.scales import Scales, VariableSizes, check_range
@@ -255,7 +256,7 @@ class BodyStepper(Stepper):
         if self._scene.couplings:
             tape = self._bodies.at(self._scene.controlled.initial).limits
             bounds = tape.table(setup.initial[None], setup.values, np.zeros(1)).reshape(-1, 3)
-            check_limits([*self._scene.couplings], bounds[:, :ENABLED])
+            check_limits([coupling_law(n, ()) for n in self._scene.couplings], bounds[:, :ENABLED])
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
         options = StepOptions(defaults.law, forces, tolerance, DEEPEST * setup.scales.length)

@@ -65,6 +65,11 @@ _FRICTION = (
     "for a couple against rolling, write rolling_resistance: LENGTH of {0!r}; for a force along "
     "the surface, friction",
 )
+_CARRIED = (
+    "loads of joints and couplings follow from the other forces",
+    "for friction in a joint, write couplings: {{f: {{joint: JOINT, limit: F}}}} with F a formula "
+    "of places and velocities",
+)
 _OF_FORCES = {"gap": _PUSH, "slip": _PUSH, "V": _FRICTION, "H": _FRICTION}
 
 
@@ -219,8 +224,9 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "write {static: s, kinetic: k} with formulas of parameters",
         )
     owner, _, quantity = name.rpartition(".")
-    if loc[0] == "forces" and owner in scene.contacts and quantity in _OF_FORCES:
-        return _OF_FORCES[quantity][0], _OF_FORCES[quantity][1].format(owner)
+    if loc[0] in ("forces", "couplings") and owner and name in scene.quantity_names:
+        law = _OF_FORCES.get(quantity, _CARRIED) if owner in scene.contacts else _CARRIED
+        return law[0], law[1].format(owner)
     if name == INDEX and loc[-2:-1] == ("start",):
         return "it is the number of a copy", "add copies: N to the body"
     if name == INDEX and any(body.copies is not None for body in scene.bodies.values()):

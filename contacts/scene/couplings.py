@@ -107,9 +107,11 @@ class Rolling(Coupling):
 class CouplingSymbols(NamedTuple):
     """A coupling's quantities as expressions."""
 
-    contact: ContactSymbols  # Its slip, acceleration, couple H, and constraint; it has no V
-    static: sp.Expr  # Bounds of the couple
+    # Slip, acceleration, couple H over the lever, and constraint; no V
+    contact: ContactSymbols
+    static: sp.Expr  # Bounds of H
     kinetic: sp.Expr
+    lever: sp.Expr
 
 
 def coupling_states(coupling: Coupling) -> tuple[str, ...]:
@@ -144,20 +146,19 @@ def coupling_edges(coupling: Coupling) -> tuple[Edge, ...]:
 
 def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
     """Return the equations and margins of a state; its conditions add theirs."""
-    contact, static, kinetic = symbols
+    contact, static, kinetic, lever = symbols
     name, couple = contact.name, contact.H
     if role.state in OPEN:
         return State((couple,), ())
     if role.state == "locked":
-        margins = (
-            Margin(f"{name}.{_UPPER}", static - couple, "force"),
-            Margin(f"{name}.{_LOWER}", static + couple, "force"),
-        )
+        bounds = (_UPPER, static - couple), (_LOWER, static + couple)
+        margins = tuple(Margin(f"{name}.{n}", m, "force", shown=lever * m) for n, m in bounds)
         state = State((contact.tangential_acceleration,), margins, holds=(contact.sticking,))
         if isinstance(role.share, Bearing):
             return share_of(state, contact, 0, role.share, pinned=True, limit=static)
         return state
     direction = _DIRECTIONS[role.state]
-    slip = Margin(f"{name}.slip", direction * contact.slip, "speed")
-    limit = Margin(f"{name}.limit", kinetic, "force")
+    along, rate = direction * contact.slip, direction * (contact.slip / lever)
+    slip = Margin(f"{name}.slip", along, "speed", shown=rate)
+    limit = Margin(f"{name}.limit", kinetic, "force", shown=lever * kinetic)
     return State((couple + direction * kinetic,), (slip, limit))

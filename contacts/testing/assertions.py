@@ -139,11 +139,12 @@ def missed_by_slopes(
 
 def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     """Check that coupling torques are within their limits, and oppose slip."""
-    scene, known = mechanics.scene, subject.automaton.observables
+    scene = mechanics.scene
     expressions = [
         expression
         for name in scene.couplings
-        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.coupling(name)[1:])
+        for symbols in (mechanics.coupling(name),)
+        for expression in (symbols.contact.H, symbols.contact.slip, *symbols[1:3])
     ]
     # Controllers follow the couplings.
     first = len(trace.regions) - len(scene.controlled.flat) - len(scene.couplings)

@@ -263,6 +263,7 @@ class SteppedScene(SteppedSystem):
         self._cones = drop_round_off_friction(np.array(edges, float).reshape(-1, 2))
         self._restitution = np.array([law.restitution for law in contacts])
         self._carriers = carriers(tuple(contacts))
+        self._levers = np.array([law.lever for law in contacts if law.coupling])
         nowhere = np.zeros(source.soft.n_variables)
         self._soft = source.soft.at(nowhere, self._values, 0.0).reshape(-1, 2)
         # The impact of a rigid contact may stop its slip, and that of its rolling resistance.
@@ -329,7 +330,9 @@ class SteppedScene(SteppedSystem):
     def margins(self) -> dict[str, float]:
         """The smallest margins, at the midpoints of steps."""
         rigid = len(self._source.names) - self._source.couplings
-        values = np.column_stack([self._step_state.least_gap, self._step_state.least]).tolist()
+        least = np.column_stack([self._step_state.least_gap, self._step_state.least])
+        least[rigid:] *= self._levers[:, None]
+        values = least.tolist()
         margins: dict[str, float] = {}
         for i, name in enumerate(self._source.names):
             kinds = ("gap", "V", "mu V - |H|") if i < rigid else ("limit",)
@@ -392,6 +395,7 @@ class SteppedScene(SteppedSystem):
             self.forget()
             return self.steps(start, h, state, followed)
         chunk = chunk.first(done)
+        chunk.joint_impulses[:, r:] *= self._levers
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
         self._note(chunk.gaps, forces, chunk.codes, chunk.solved[:, n + r + 2 * c :])
         self._note_passed(chunk, start)
@@ -670,7 +674,7 @@ class SceneStepper(Stepper):
             check_joints(self._mechanics, SnapshotTape(self._mechanics, named), setup, RELATIVE)
         if self._scene.couplings:
             snapshot = SnapshotTape(self._mechanics, named).at(setup.values, entered, 0.0)
-            check_limits([*self._scene.couplings], snapshot.limits)
+            check_limits(setup.contacts, snapshot.limits)
         tape = self._tapes.at(controls)
         near = setup.tolerances["gap"]
         closed = max(ROUNDING * setup.scales.length, setup.scales.rounding)

@@ -610,10 +610,11 @@ _GAP_ROUNDING = 1e-4
 
 @kernel
 def clear_round_off(scene: StepConstants, island: Island, contacts: ContactRows, h: float) -> None:
-    """Clear coupling slips that are round-off of the gaps of loaded contacts."""
+    """Clear coupling slips that are round-off of speeds or of the gaps of loaded contacts."""
     for a in range(len(island.members)):
-        slip, widest = 0.0, scene.gap_tolerance / h
-        for b in range(len(island.members) if is_coupling(scene, island.members[a]) else 0):
+        coupled, widest = is_coupling(scene, island.members[a]), scene.gap_tolerance / h
+        slip = scene.round_off if coupled else 0.0
+        for b in range(len(island.members) if coupled else 0):
             if island.chosen[b, 0] > 0.0 and not _is_finite(scene, island.members[b]):
                 turned = 0.0
                 for k in range(contacts.rows.shape[2]):

@@ -8,7 +8,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from statechart.documents.files import new_folder, obstacle, write_atomic
+from statechart.documents.files import check_folder_name, new_folder, obstacle, write_atomic
 from statechart.errors import DeclarationError, StatechartError
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ PATIENCE = 0.9
 PAGES = (".html", ".htm")
 """Suffixes of a page."""
 _STORE, _FILE = ".zarr", ".nc"
-_FILES = (
-    *PAGES, _FILE, ".csv", ".gif", ".json", ".mp4", ".pdf", ".png", ".svg", ".txt", ".xlsx", ".yaml"
-)  # fmt: skip
 
 
 def check_folder(output: str | None) -> None:
@@ -41,9 +38,7 @@ def check_folder(output: str | None) -> None:
         raise DeclarationError(f"--output {output} exists already", advice="name another store")
     if why := obstacle(path):
         raise DeclarationError(f"--output {output}: {why}", advice="name another folder")
-    if path.suffix.lower() in _FILES and not path.is_dir():
-        message = f"--output {output}: the results are several files, in a folder"
-        raise DeclarationError(message, advice=f"write --output {Path(output).with_suffix('')}")
+    check_folder_name(output, "--output ")
 
 
 def check_file(

@@ -456,4 +456,4 @@ def _condition(automaton: Automaton, region: Region, state: str) -> list[str]:
 def _sense(automaton: Automaton, margin: Margin) -> str:
     """Return "-" if a margin is the negative of the quantity in its name."""
     named = automaton.observables.get(margin.name)
-    return "<=" if named is not None and margin.expression == -named else ">="
+    return "<=" if named is not None and (margin.shown or margin.expression) == -named else ">="

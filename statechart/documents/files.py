@@ -17,6 +17,11 @@ from pathlib import Path
 
 from statechart.errors import DeclarationError, StatechartError
 
+_FILES = (
+    ".html", ".htm", ".nc", ".csv", ".gif", ".json", ".mp4", ".pdf", ".png", ".svg", ".txt",
+    ".xlsx", ".yaml",
+)  # fmt: skip
+
 
 def read_bounded(path: Path, most: int, advice: str) -> bytes:
     """Return at most `most` + 1 bytes of a regular file, or raise `DeclarationError`."""
@@ -75,6 +80,14 @@ def obstacle(path: Path) -> str:
             return ""
     except OSError:
         return f"{place} is not writable"
+
+
+def check_folder_name(folder: Path | str, option: str = "") -> None:
+    """Raise `DeclarationError` for a new folder of results with the name of a file."""
+    path = Path(folder)
+    if path.suffix.lower() in _FILES and not path.is_dir():
+        message = f"{option}{folder}: the results are several files, in a folder"
+        raise DeclarationError(message, advice=f"write {option}{path.with_suffix('')}")
 
 
 @contextmanager

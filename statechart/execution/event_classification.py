@@ -81,12 +81,13 @@ def resolve_search(found: Search, compiled: CompiledMode, watch: FlowWatch, path
             "interval evaluations; simplify the guard, or take shorter steps (--max-step)"
         )
     # The equations may be singular at a stop: the cosine in a force vanishes when the stick lies
-    # flat. A margin that is zero there within its tolerance has been reached.
+    # flat, and a friction with sqrt(abs(slip)) has no value beyond it. A margin that is zero there
+    # within its tolerance has been reached.
     terms = path.coefficients[location.step]
     state = (terms * location.s ** np.arange(terms.shape[1])).sum(axis=1)
     margins = compiled.guards.values(state, watch.parameters, time)
     for guard, (value, tolerance) in enumerate(zip(margins, watch.tolerances, strict=True)):
-        if compiled.kind(guard) == "plain" and abs(value) <= tolerance < math.inf:
+        if compiled.kind(guard) in ("plain", "speed") and abs(value) <= tolerance < math.inf:
             return location._replace(guard=guard, crossed=location.time)
     name = names[location.guard] if location.guard >= 0 else "one of " + ", ".join(names)
     raise NonFinite(

@@ -389,12 +389,10 @@ class Advance:
             if found.undecided is not None:
                 self._cut(found.undecided.time, ended)
             raise
-        self.graze = found.verdict is not Verdict.CROSSING
-        at_crossing = self.graze or self.compiled.kind(crossing.guard) in (
-            "force",
-            "hold",
-            "implied",
-        )
+        kind, located = self.compiled.kind(crossing.guard), found.verdict is Verdict.CROSSING
+        # A slip comes to rest where its friction has no value beyond.
+        self.graze = not located and (kind != "speed" or found.verdict is Verdict.GRAZE)
+        at_crossing = not located or kind in ("force", "hold", "implied")
         at = crossing.crossed if at_crossing else crossing.time
         if self.compiled.plain[crossing.guard] and self._above(crossing.guard, at):
             # A discontinuous margin (an angle at its branch cut) is positive up to its jump.

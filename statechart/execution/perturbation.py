@@ -32,6 +32,7 @@ class Start(Enum):
     DECLARED = auto()
     INCREASED = auto()  # `with_increased_start`
     INCREASED_WITH_TOLERANCES = auto()  # the same, with the tolerances of the declared start
+    DECREASED = auto()  # where formulas have no value at an increased start, as acos(x) at 1
 
 
 def with_increased_start(automaton: Automaton, start: Start) -> Automaton:
@@ -40,17 +41,19 @@ def with_increased_start(automaton: Automaton, start: Start) -> Automaton:
     The relative change is the tolerance of the run, at least a few units in the last place. Zeros
     stay zero, and symmetric starts symmetric. The first horizon is shorter, which changes the
     round-off of all steps. With `Start.INCREASED`, modes have their least tolerances (of gaps: a
-    few times that), so that impacts which the run merges stay apart.
+    few times that), so that impacts which the run merges stay apart; with `Start.DECREASED` they
+    do, too, and the factor is smaller than 1.
     """
 
     def changed(setup: Setup, relative: float) -> Setup:
         horizon = _HORIZON_FACTOR * setup.horizon if setup.horizon < math.inf else 1.0
-        perturbed = _perturb(
-            setup, np.sign(setup.initial) * max(relative, _MIN_PERTURBATION), gap=_GAP_FACTOR
-        )
+        part = max(relative, _MIN_PERTURBATION) * (-1.0 if start is Start.DECREASED else 1.0)
+        perturbed = _perturb(setup, np.sign(setup.initial) * part, gap=_GAP_FACTOR)
         return replace(perturbed, horizon=horizon)
 
-    return _with_setup(automaton, changed, 0.0 if start is Start.INCREASED else None)
+    return _with_setup(
+        automaton, changed, None if start is Start.INCREASED_WITH_TOLERANCES else 0.0
+    )
 
 
 def with_shifted_start(automaton: Automaton, part: float, signs: Array) -> Automaton:

@@ -116,19 +116,28 @@ class Condition:
         return self.single or all(isinstance(part, int) for part in parts)
 
     def instantaneous(self, moving: Collection[sp.Symbol]) -> bool:
-        """Return whether a part is true at instants only: ``x <= 1 and x >= 1`` of `moving` x."""
+        """Return whether a part is true at instants only: ``x <= 1 and x >= 1`` of `moving` x.
+
+        The instant between the sides of a sign, ``x > 0 and ...`` and ``x < 0 and ...``, is not.
+        """
         atoms = ((k, atom.expression) for k, atom in enumerate(self.atoms) if not atom.strict)
         closed = {k: e for k, e in atoms if set[Any]() < e.free_symbols <= {*moving}}
         if any(e.is_nonnegative and not e.is_positive for e in closed.values()):
             return True
         opposed = [{i, k} for i, k in combinations(closed, 2) if _opposed(closed[i], closed[k])]
 
-        def joint(tree: Any) -> bool:
+        strict = {atom.expression: k for k, atom in enumerate(self.atoms) if atom.strict}
+
+        def joint(tree: Any, beside: Collection[int] = ()) -> bool:
             if not isinstance(tree, And | Or):
                 return False
             leaves = {part for part in tree.parts if isinstance(part, int)}
-            found = isinstance(tree, And) and any(pair <= leaves for pair in opposed)
-            return found or any(map(joint, tree.parts))
+            if isinstance(tree, And):
+                within = [pair for pair in opposed if pair <= leaves]
+                sides = [{strict.get(closed[k]) for k in pair} for pair in within]
+                return any(side.isdisjoint(beside) for side in sides) or any(map(joint, tree.parts))
+            parts = [{*part.parts} if isinstance(part, And) else {part} for part in tree.parts]
+            return any(joint(part, {*leaves}.union(*parts)) for part in tree.parts)
 
         return joint(self.root)
 

@@ -611,14 +611,18 @@ class RunPlanner:
         end: float,
         start: Start = Start.DECLARED,
     ) -> tuple[Observer, Trace]:
-        observer = self._observers.at(setting, start)
+        observer, other = self._observers.at(setting, start), Start.DECREASED
         try:
-            return observer, observer.simulator.run(overrides, until=end, throw=False)
+            trace = observer.simulator.run(overrides, until=end, throw=False)
+            starts = trace.t_end > 0.0 or trace.outcome is not Outcome.NON_FINITE
+            if start is Start.DECLARED or starts:
+                return observer, trace
         except DeclarationProblem:
             if start is Start.DECLARED:
                 raise
-        # The perturbed start keeps its constraints within the tolerances of the run only.
-        observer = self._observers.at(setting, Start.INCREASED_WITH_TOLERANCES)
+            # The perturbed start keeps its constraints within the tolerances of the run only.
+            other = Start.INCREASED_WITH_TOLERANCES
+        observer = self._observers.at(setting, other)
         return observer, observer.simulator.run(overrides, until=end, throw=False)
 
     def _change_engine(self, trace: Trace) -> bool:

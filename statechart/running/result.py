@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statechart.automaton.trace import Trace
+from statechart.documents.files import check_folder_name
 from statechart.documents.hints import check_arguments
 from statechart.documents.setting import Record, describe_value
 from statechart.engines.request import Measured
@@ -356,6 +357,7 @@ class Result:
         """
         from statechart.reporting.tables import write_run
 
+        check_folder_name(folder)
         if samples is None and self.trace.record is Record.MODES:
             warnings.warn(
                 "from version 0.3 on, save writes samples.csv only with samples=True; pass "

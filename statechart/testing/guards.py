@@ -159,7 +159,8 @@ def _assert_margins(
         if trace.step is None:
             changed[:, i] *= 1.0 + NUDGE
             variation = subject.solved(trace, arc, tau, expressions, changed)
-            rounding += np.abs(variation - values) * (max(trace.tolerance, ROUND_OFF) / NUDGE)
+            moved = np.nan_to_num(np.abs(variation - values), nan=0.0)
+            rounding += moved * (max(trace.tolerance, ROUND_OFF) / NUDGE)
         # A variable after a jump has the round-off of its value before.
         changed[:, i] = states[:, i] + change
         variation = subject.solved(trace, arc, tau, expressions, changed)
@@ -200,6 +201,8 @@ _HALVINGS = 36
 _TIME_ERROR = 2.0 * STATE_ROUND_OFF
 # Relative error of a solved force or acceleration.
 _SOLVED = 1e-9
+# Expressions whose evaluation adds no round-off.
+_WITHOUT_ROUND_OFF = (sp.Symbol, sp.Number, sp.Max, sp.Min, sp.Abs)
 
 
 def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, count: int) -> Bools:
@@ -301,6 +304,9 @@ class _ClaimChecker:
 
     def unexplained(self, claim: Claim, arc: Arc, tau: Array) -> Array:
         """Return the local times at which a claim is wrong beyond errors."""
+        _, _, relative = self._compiled(claim)
+        if relative == _SOLVED and any(role.captured for role in region_roles(arc.roles)):
+            return tau[:0]  # A contact shown free at the end of its bounces has the force of rest.
         states = arc.states(tau)
         tau = tau[self._wrong(claim, arc, tau, states)]
         for later in (-self._late, self._late):
@@ -317,22 +323,27 @@ class _ClaimChecker:
 
     def _wrong(self, claim: Claim, arc: Arc, tau: Array, states: Array) -> Bools:
         """Return whether a claim is wrong, at local times (m,) in states (m, n)."""
-        term, expressions, solved = self._compiled(claim)
+        term, expressions, relative = self._compiled(claim)
         count, regions = len(tau), self._subject.automaton.regions
         values = self._subject.solved(self._trace, arc, tau, expressions, states)
         sides = list(zip(values.T[::2], values.T[1::2], strict=True))
         held = truth(term, iter(sides), active_in(regions, arc.mode), count)
         near = np.zeros(count, np.bool_)
-        if solved:
-            off = self._trace.tolerances.get("force", 0.0)
+        if relative > 0.0:
+            off = self._trace.tolerances.get("force", 0.0) if relative == _SOLVED else 0.0
             for left, right in sides:
-                near |= np.abs(left - right) <= off + _SOLVED * (np.abs(left) + np.abs(right))
+                near |= np.abs(left - right) <= off + relative * (np.abs(left) + np.abs(right))
         return (held != claim.holds) & ~near
 
-    def _sides(self, claim: Claim) -> tuple[Term, list[sp.Expr], bool]:
-        """Return the relation of a claim, its sides, and whether these need unknowns."""
+    def _sides(self, claim: Claim) -> tuple[Term, list[sp.Expr], float]:
+        """Return the relation of a claim, its sides, and their relative error."""
         automaton = self._subject.automaton
         relation = parse_relation(conjunction(claim.relations))
         sides = [side.to_sympy(automaton.observables) for side in relation.formulas]
-        solved = any(side.free_symbols & {*automaton.unknowns} for side in sides)
-        return relation.root, sides, solved
+        used = set[sp.Basic]().union(*(side.free_symbols for side in sides))
+        exact = {v for v, e in zip(automaton.variables, self._errors, strict=True) if e == 0.0}
+        inexact = used & {automaton.time, *automaton.variables} - exact
+        parts = (part for side in sides for part in sp.preorder_traversal(side))
+        rounds = inexact and any(not isinstance(part, _WITHOUT_ROUND_OFF) for part in parts)
+        relative = _SOLVED if used & {*automaton.unknowns} else ROUND_OFF if rounds else 0.0
+        return relation.root, sides, relative

@@ -368,3 +368,24 @@ def test_a_foot_beside_a_pinned_foot_creeps_as_the_box_turns(step: float) -> Non
     still = [arc.duration for arc in arcs if arc.mode == ("pin", "pin")]
     assert sum(arc.mode in (("pin", "slide+"), ("slide+", "pin")) for arc in arcs) >= 4
     assert max(still, default=0.0) <= 4.5 * step
+
+
+ROUGH = """
+kind: scene
+name: rough
+gravity: 9.81
+bodies: {b: {mass: 1, inertia: 0.02, start: {y: 0.5, dx: DX}}}
+surfaces: {s: {height: 0}}
+contacts: {f: {point: {body: b}, radius: 0.2, surface: s, friction: inf, stiffness: 1000}}
+stop: {time: 0.5}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_a_slip_at_the_touch_of_infinite_friction_is_advised_a_finite_one(engine: str) -> None:
+    landing = statechart.run(read_text(ROUGH.replace("DX", "0")), engine=engine)
+    assert landing.trace.jumps[0].t == pytest.approx((0.6 / 9.81) ** 0.5)
+    result = statechart.run(read_text(ROUGH.replace("DX", "1")), engine=engine, throw=False)
+    assert result.trace.outcome.name == "NO_CONSISTENT_MODE"
+    assert "'f' touches with a slip" in result.trace.message
+    assert "write contacts.f.friction: 100" in result.trace.message

@@ -177,6 +177,22 @@ def test_motion_does_not_depend_on_the_origin(text: str, shift: float) -> None:
     assert ends[1] == pytest.approx(ends[0], rel=close)
 
 
+def test_springs_give_the_length_in_every_unit_of_time() -> None:
+    # The period of the spring counts, whatever the end: dx/k^(1/2).
+    text = """
+kind: scene
+name: spring
+parameters: {T: 1}
+bodies: {b: {mass: 1, start: {dx: 0.7/T}}}
+surfaces: {s: {height: 0}}
+contacts: {c: {point: {body: b}, surface: s, friction: 0, restitution: 0}}
+forces: {spring: {body: b, force: [-4*b.x/T**2, 0]}}
+stop: {time: 8*T}
+"""
+    for unit in (1e-9, 1.0, 1e9):
+        assert numbers(text, T=unit).scales.length == pytest.approx(0.7 / 2.0, rel=1e-12)
+
+
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
 @pytest.mark.parametrize("unit", [{"L": 1e6}, {"L": 1e-6}, {"M": 1e6}, {"M": 1e-6}, {"T": 1e6}])
 def test_events_do_not_depend_on_units(text: str, unit: dict[str, float]) -> None:

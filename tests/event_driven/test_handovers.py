@@ -326,3 +326,22 @@ outputs: {left: {value: time, at: last a.disable or b.disable}, fastest: {maximu
     assert final["wheel.dangle"] == pytest.approx(0.0, abs=1e-12)
     assert result.outputs["left"] == pytest.approx(0.25 + math.pi / 4, abs=1e-12)
     assert result.outputs["fastest"] == pytest.approx(2.0 / (math.sqrt(2) - 1.0), abs=1e-9)
+
+
+GATED = """
+kind: scene
+name: gated
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {y: 1e6}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  b: {point: {body: ball}, surface: floor, friction: 0, restitution: 0, enabled: in(leg.down)}
+regions: {leg: {initial: up, states: {up: {}, down: {}}}}
+stop: {time: 500}
+"""
+
+
+def test_a_contact_of_another_state_gives_no_warning_in_a_large_scene():
+    height, reported = run(GATED)
+    assert height == pytest.approx(1e6 - 0.5 * 9.81 * 500**2)
+    assert not reported

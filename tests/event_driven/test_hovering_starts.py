@@ -76,6 +76,23 @@ def test_ordinary_starts_give_no_warning(how: str, values: dict[str, float]) -> 
     assert not said(run(POINT, how, **values))
 
 
+FAST = """
+kind: scene
+name: fast
+gravity: 9.81
+bodies: {ball: {mass: 1, inertia: 0.02, start: {y: 0.5, dx: 1e6}}}
+surfaces: {floor: {height: 0}}
+contacts: {f: {point: {body: ball}, radius: R, surface: floor, friction: 0.4, restitution: 0}}
+stop: {time: 0.4}
+"""
+
+
+@pytest.mark.parametrize("how", RUNNERS)
+@pytest.mark.parametrize("radius", ["0.2", "0.5 - 1e-3"])
+def test_a_gap_is_compared_with_the_places_of_a_fast_body(how: str, radius: str) -> None:
+    assert not said(run(FAST.replace("R", radius), how))
+
+
 @pytest.mark.parametrize("how", RUNNERS)
 def test_disabled_contact_gives_no_warning(how: str) -> None:
     # Left of its gate the wall is not there.

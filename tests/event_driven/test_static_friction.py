@@ -97,6 +97,32 @@ def test_a_block_on_a_belt_has_the_period_of_its_closed_form(engine: str, mu: fl
     assert np.diff(slips) == pytest.approx(expected, abs=1e-12)
 
 
+ROOT = """
+kind: scene
+name: root
+parameters: {v: 2}
+gravity: 9.81
+bodies: {block: {mass: 1, start: {dx: v}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  base: {point: {body: block}, surface: floor, modes: [slide, pin],
+         friction: {static: 0.5, kinetic: 0.3*sqrt(abs(slip)) + 0.1}}
+stop: {time: 2}
+outputs: {stop: {value: time, at: first base.stick}}
+"""
+
+
+@every
+@pytest.mark.parametrize("v", [2.0, -2.0])
+def test_friction_with_a_root_of_the_slip_brings_a_block_to_rest(engine: str, v: float) -> None:
+    # With u = sqrt(v) the time is the integral of 2 u/(g (0.3 u + 0.1)).
+    u, share = math.sqrt(abs(v)), 1.0 / 3.0
+    stop = 2.0 / (0.3 * G) * (u - share * math.log1p(u / share))
+    result = ran(ROOT, engine, v=v)
+    assert result.outputs["stop"] == pytest.approx(stop, abs=near(engine, 1e-11))
+    assert not result.warnings
+
+
 STRIBECK = BELT.replace(
     "friction: {static: s, kinetic: mu}", "friction: mu + (s - mu)*exp(-abs(slip)/0.1)"
 )

@@ -268,6 +268,15 @@ def test_a_result_saves_its_run(tmp_path: Path) -> None:
         assert "samples.csv" in result.save(tmp_path / "out")
 
 
+def test_a_result_does_not_make_a_folder_with_the_name_of_a_file(tmp_path: Path) -> None:
+    result = run(read_text(BALL))
+    with pytest.raises(DeclarationError, match=r"several files, in a folder; write .*out$"):
+        result.save(tmp_path / "out.txt", samples=False)
+    assert not any(tmp_path.iterdir())
+    (tmp_path / "old.txt").mkdir()
+    assert "run.json" in result.save(tmp_path / "old.txt", samples=False)
+
+
 def test_steps_that_fill_the_memory_are_an_outcome() -> None:
     path = Steps()
     path.reserve(10, 3, 4)

@@ -69,6 +69,20 @@ def test_forces_that_use_contact_forces_are_advised_the_matching_law() -> None:
             Scene.model_validate(read_text(text).data)
 
 
+@pytest.mark.parametrize(
+    "part",
+    [
+        "forces: {f: {body: ball, force: [0, 0], moment: -0.1*abs(hook.X)}}",
+        "couplings: {f: {joint: hook, limit: 0.1*abs(hook.X)}}",
+    ],
+)
+def test_forces_that_use_joint_forces_are_advised_a_coupling_with_a_limit(part: str) -> None:
+    hook = "joints: {hook: {point: {body: ball, at: [0, 1]}, to: [0, 1]}}"
+    text = f"{BALL.replace('Y', '0')}{hook}\n{part}\n"
+    with pytest.raises(ValueError, match=r"'hook.X': .*forces; .*\{joint: JOINT, limit: F\}"):
+        Scene.model_validate(read_text(text).data)
+
+
 PUSHED = """\
 controls: {push: 0}
 forces: {gap: {body: ball, force: [0, push]}}

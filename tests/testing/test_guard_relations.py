@@ -15,6 +15,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.formulas.relation import parse_relation
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret
+from statechart.running.runner import Runner
 from statechart.testing.checking import examine
 from statechart.testing.guards import (
     assert_invariant_relations,
@@ -173,3 +174,48 @@ def test_truth_matches_comparisons_and_states(text: str, expected: list[bool]) -
     sides = [(x, np.full(3, one.right.value({}))) for one in relation.comparisons]
     found = truth(relation.root, iter(sides), lambda region, state: state == "a", 3)
     assert found.tolist() == expected
+
+
+BRAKED = """
+kind: scene
+name: braked
+bodies: {b: {mass: 1, inertia: 1, start: {dangle: 2}}}
+couplings: {j: {bodies: [b], limit: 1, enabled: "cos(time) >= 1"}}
+stop: {time: 1}
+"""
+FLAT = FALLS.replace("x <= n", "cos(x) >= 1 - 1e-12").replace("high: x >= 0", "high: x >= -1")
+CIRCLES = """
+kind: chart
+name: circles
+variables: {x: 1, y: 0}
+regions:
+  m: {initial: a, states: {a: {flows: {x: -y, y: x}}}}
+  e: {initial: w, states: {w: {}, d: {}},
+      transitions: [{name: hit, from: w, to: d, guard: "acos(x) >= 3"}]}
+stop: {time: 4}
+outputs: {t: {value: time, at: first e.hit}}
+"""
+BOUNCES = """
+kind: scene
+name: bounces
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {y: 1}}}
+surfaces: {floor: {height: 0}}
+contacts: {b: {point: {body: ball}, surface: floor, restitution: 0.5, friction: 0.3}}
+stop: {time: 3, conditions: {s: "max(b.V, 0) > 5"}}
+"""
+
+
+@pytest.mark.parametrize("text", [BRAKED, FLAT, CIRCLES, BOUNCES])
+def test_relations_within_round_off_of_their_bound_are_as_modes_say(text: str) -> None:
+    subject = Subject(interpret(read_text(text)))
+    case = subject.case({})
+    for one in generic(subject):
+        if not one.skipped:
+            one.holds(case)
+
+
+def test_an_accuracy_is_stated_where_a_greater_start_has_no_value() -> None:
+    result = Runner(read_text(CIRCLES), accuracy=1e-9).run()
+    assert result.outputs["t"] == pytest.approx(3.0, abs=1e-9)
+    assert not result.warnings

@@ -788,6 +788,9 @@ def test_a_controller_lifts_a_floor_that_nothing_touches() -> None:
         ("b.x >= 2.5", False),
         ("abs(b.dy) <= 0", False),
         ("abs(b.x - 2.5) <= 0 or b.x < -1", True),
+        ("abs(sign(b.x - 2.5)) <= 0 or b.x < -1", True),
+        ("(1 + sign(b.x - 2.5))*(b.x + 1) + (1 - sign(b.x - 2.5))*b.x > 5.5", False),
+        ("(1 + sign(b.x - 2.5))*b.x > 4", False),
     ],
 )
 @pytest.mark.parametrize("guarded", [False, True])
