@@ -284,10 +284,10 @@ class SceneLaws:
                 grown = self._grown(here)
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [choice.place], choice)
-        for law, soft, state in zip(
+        for law, soft, taken in zip(
             setup.contacts, snapshot.soft, choice.taken.states, strict=False
         ):
-            if soft and state == "free" and law.cone_n == 0.0 and f"{law.name}.gap" in fired:
+            if soft and taken == "free" and law.cone_n == 0.0 and f"{law.name}.gap" in fired:
                 raise NoConsistentMode(
                     f"contact {law.name!r} touches with a slip, and its infinite friction has no "
                     f"normal force yet; write contacts.{law.name}.friction: 100"

@@ -265,6 +265,7 @@ class _Reader:
         self._moving = {*automaton.variables, automaton.time}
         self.read = cache(self._rewritten)
         self._places: dict[sp.Expr, int] = {}
+        self._backs: dict[sp.Expr, sp.Expr] = {}  # Opposite directions in angles, for texts
         self.signs: list[sp.Symbol] = []
         self.functions: list[sp.Expr] = []
         self.adds = self.cuts = True
@@ -307,8 +308,9 @@ class _Reader:
         if ahead is None or side is None:
             return angle
         # Where y stays zero, with the sign 0, the angle of a negative x is pi.
-        behind = sp.atan2(-y, -x) + sp.pi * (1 + side - side**2)
-        return (1 + ahead) / 2 * angle + (1 - ahead) / 2 * behind
+        back, turn = sp.atan2(-y, -x), sp.pi * (1 + side - side**2)
+        self._backs[back] = angle - turn
+        return (1 + ahead) / 2 * angle + (1 - ahead) / 2 * (back + turn)
 
     def _sign(self, function: sp.Expr) -> sp.Expr | None:
         """Return the sign of a switching function up to orientation; None if it is not added."""
@@ -378,7 +380,9 @@ class _Reader:
         return time_derivative(expression, rates, self._automaton.time)
 
     def text(self, function: sp.Expr) -> str:
-        """Return a switching function in the names of the model."""
+        """Return a switching function in the names of the model, with angles as declared."""
+        if function.atoms(sp.atan2) & self._backs.keys():
+            function = sp.expand_mul(function.xreplace(self._backs))
         symbols = (*self._automaton.variables, *self._automaton.parameters)
         model_names = (*self._automaton.names, *self._automaton.parameter_names)
         names: dict[Any, Any] = dict(zip(symbols, map(sp.Symbol, model_names), strict=True))

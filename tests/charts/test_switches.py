@@ -105,6 +105,14 @@ def test_flow_slides_along_a_branch_cut_that_attracts(engine: Engine) -> None:
 
 
 @both
+def test_a_sign_of_an_angle_is_named_as_declared(engine: Engine) -> None:
+    rate = "0.8*sign(atan2(3 - y, -3 - x) - th)"
+    trace = run(flow({"x": 0, "y": 0, "th": -2.5}, x="cos(th)", y="sin(th)", th=rate), engine, 2.0)
+    assert "sign of -th + atan2(3 - y, -x - 3)" in trace.evidence
+    assert trace.final[2] == pytest.approx(-0.9)
+
+
+@both
 def test_angle_on_the_negative_axis_is_pi(engine: Engine) -> None:
     # y stays zero: the force towards the origin points along +x.
     chart = flow({"x": -2, "y": 0}, x="cos(atan2(-y, -x))", y="sin(atan2(-y, -x))")
