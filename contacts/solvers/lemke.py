@@ -305,7 +305,9 @@ def delassus_matrix(mass: Array, jacobians: Array, forces: Array) -> tuple[Array
     reach = np.abs(rows).max(axis=0)
     responds = reach > 0.0
     largest = (np.diag(mass)[responds] / reach[responds] ** 2).max(initial=0.0)
-    filled = mass + np.diag(np.where(responds, 1e-14 * largest * reach**2, 0.0))
+    # A coordinate without inertia that moves no contact needs any.
+    least = np.where(responds, 1e-14 * largest * reach**2, np.diag(mass) == 0.0)
+    filled = mass + np.diag(least)
     root = np.linalg.cholesky(filled)
     half, push = np.linalg.solve(root, rows.T), np.linalg.solve(root, forces)
     return half.T @ half, (half.T @ push).reshape(-1, 2)

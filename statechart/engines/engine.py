@@ -182,8 +182,10 @@ class Engine(ABC):
         """Return the step function of a stepper for compiled loops, or None."""
         return None
 
-    def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:  # noqa: B027
-        """Raise `Unsupported` if the method cannot continue from a state with any step."""
+    def check(  # noqa: B027
+        self, stepper: object, path: Path, state: Array, parameters: Array, time: float
+    ) -> None:
+        """Raise if the method cannot continue from a state, after a path, with any step."""
 
     @abstractmethod
     def steps(

@@ -114,7 +114,13 @@ class SciPy(Engine):
             if stepper.noise is not None:
                 noisy = np.fmin(_NOISE * tried * stepper.noise, self._coarsest)
                 solver.atol = np.maximum(self._absolute, noisy)
-            solver.step()
+            try:
+                solver.step()
+            except ValueError as error:
+                # The matrix that Radau factors, its Jacobian less 1/h, overflows.
+                if "NaN" not in str(error):
+                    raise
+                solver.status = "failed"
             if solver.status == "running" and solver.step_size < tried:
                 noise = _round_off(solver)
                 stepper.noise = noise if stepper.noise is None else np.fmax(noise, stepper.noise)

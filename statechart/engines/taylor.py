@@ -60,6 +60,7 @@ class _Stepper:
     compiled: Step | None
     fixed: Tape  # parameters of the integrator after the time
     powers: tuple[str, ...]  # without a Taylor series at base zero
+    poles: tuple[bool, ...]  # marks of negative ones
     bases: Tape
     rates: Tape
 
@@ -134,6 +135,7 @@ class Taylor(Engine):
             compiled,
             fixed,
             tuple(_shown(automaton, *power) for power in singular),
+            tuple(bool(exponent.is_negative) for _, exponent in singular),
             automaton.tape([base for base, _ in singular], mode),
             rates,
         )
@@ -146,11 +148,21 @@ class Taylor(Engine):
         pace = Pace(self.tolerance, self.max_step, self.allowed, stepper.shape[1])
         return StepFunction(stepper.compiled.address, stepper.fixed, len(stepper.pars), pace)
 
-    def check(self, stepper: object, state: Array, parameters: Array, time: float) -> None:
-        """Raise `Unsupported` at a non-integer power with base zero."""
+    def check(
+        self, stepper: object, path: Path, state: Array, parameters: Array, time: float
+    ) -> None:
+        """Raise `Unsupported` at a non-integer power with base zero, `NonFinite` at its pole."""
         assert isinstance(stepper, _Stepper)
         bases = stepper.bases.values(state, parameters, time)
-        for power, base in zip(stepper.powers, bases.tolist(), strict=True):
+        before, times = path.coefficients[: path.count, :, 0], np.full(path.count, time)
+        largest = stepper.bases.table(before, parameters, times).max(axis=0, initial=0.0)
+        for k, (power, base) in enumerate(zip(stepper.powers, bases.tolist(), strict=True)):
+            if stepper.poles[k] and base <= _LEAST_BASE * largest[k]:
+                raise NonFinite(
+                    f"{power} grows without bound at t = {time:.6g}, as the direction to a target "
+                    "has no value there; add stop: {conditions: {NAME: RELATION}} that ends the "
+                    "run before"
+                )
             if not base > _LEAST_BASE:
                 raise Unsupported(
                     f"{power} has no Taylor series at t = {time:.6g}, where its base is "
@@ -189,7 +201,7 @@ class Taylor(Engine):
             )  # fmt: skip
         limit = first + finite
         if limit == first:
-            self.check(stepper, state, watch.parameters, start)
+            self.check(stepper, path, state, watch.parameters, start)
             if np.isfinite(stepper.rates.values(state, watch.parameters, start)).all():
                 raise Unsupported(
                     f"the Taylor series of the rates overflows at t = {start:.6g}; use "
@@ -204,7 +216,7 @@ class Taylor(Engine):
             if path.times.item(limit) == path.times.item(limit - 1):
                 limit -= 1
             if limit == first:
-                self.check(stepper, state, watch.parameters, start)
+                self.check(stepper, path, state, watch.parameters, start)
                 raise StepFailure(f"the step near t = {start:.6g} underflowed")
         path.count = limit
         if finished := bool(finite == steps_taken and h == remaining):

@@ -345,8 +345,9 @@ class Advance:
         return smallest
 
     def _check_method(self, time: float, step: int) -> None:
-        watch, state = self.watch, self.path.coefficients[step, :, 0]
-        self.engine.check(self.compiled.stepper, state, watch.parameters, watch.start + time)
+        watch, path, now = self.watch, self.path, self.watch.start + time
+        state = path.coefficients[step, :, 0]
+        self.engine.check(self.compiled.stepper, path, state, watch.parameters, now)
 
     def _widened(self, found: Search) -> bool:
         """Restart with wider tolerances if the located event is noise."""

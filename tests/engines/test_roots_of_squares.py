@@ -131,3 +131,23 @@ stop: {{time: 1}}
 def test_a_root_without_a_series_is_printed_as_documents_write_it(root: str) -> None:
     result = run(read_text(CHART.format(x0=0, dx=1, flow=root)))
     assert f"{root} has no Taylor series at t = 0" in result.trace.warnings[0]
+
+
+PURSUIT = """
+kind: chart
+name: pursuit
+variables: {x: 3, y: 1}
+regions:
+  r: {initial: s, states: {s: {flows: {x: "cos(atan2(-y, -x))", y: "sin(atan2(-y, -x))"}}}}
+stop: {time: 10, conditions: {there: "hypot(x, y) <= 1e-3"}}
+"""
+
+
+def test_a_pursuit_ends_at_its_target_with_what_to_write() -> None:
+    distance = 10.0**0.5
+    stopped = run(read_text(PURSUIT)).trace
+    assert stopped.t_end == pytest.approx(distance - 1e-3, abs=1e-12)
+    endless = PURSUIT.replace(', conditions: {there: "hypot(x, y) <= 1e-3"}', "")
+    trace = run(read_text(endless), throw=False).trace
+    assert (trace.outcome.name, trace.t_end) == ("NON_FINITE", pytest.approx(distance))
+    assert "1/sqrt(x**2 + y**2) grows without bound at t = 3.16228" in trace.message

@@ -88,3 +88,7 @@ def test_wheels_of_other_spokes_follow_the_map(engine: str, spokes: int, gamma: 
     assert found[: 2 * spokes] == pytest.approx(rates[1:], abs=1e-10)
     for n, jump in enumerate(trace.jumps[: 2 * spokes]):
         assert (jump.region, jump.cause) == (f"s{(n + 1) % spokes}", "touchdown")
+
+
+def test_a_wheel_without_spokes_and_inertia_ends_with_the_reason(engine: str) -> None:
+    assert "add it to its body" in run(MODEL, engine, l=0.0).message
