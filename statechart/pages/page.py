@@ -31,6 +31,7 @@ from statechart.observation.sampling import Samples
 from statechart.palette import GRID, LINES
 from statechart.pictures.film import LONGEST, Film, Shape, hatching
 from statechart.reporting.curves import (
+    COLUMNS,
     DrawnCurve,
     Panel,
     curves,
@@ -238,15 +239,15 @@ def _impulses_of(trace: Trace, panel: Panel, region: str, end: float) -> dict[st
 def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
     """Return the sampled rows of curves, including both ends of every flow.
 
-    Without both ends a curve would stop before its jump. With too many flows these are all rows;
-    `Line` then draws the minimum and maximum of every column.
+    Without both ends a curve would stop before its jump. With too many flows these are all rows, of
+    which `DrawnCurve` takes the least and largest of each column.
     """
     inside = np.flatnonzero(samples.t <= end)
     # One of every column, as far as there are any: a long flow looks as smooth as short ones.
     columns = np.floor(samples.t[inside] * (_POINTS / end if end > 0.0 else 0.0))
     chosen = inside[np.flatnonzero(np.diff(columns, prepend=-1.0))]
     first = np.flatnonzero(np.diff(samples.j[inside])) + 1
-    if len(first) > _POINTS:
+    if len(first) > COLUMNS:
         return inside
     return np.unique(np.concatenate([chosen, inside[first - 1], inside[first], inside[-1:]]))
 

@@ -314,9 +314,9 @@ class DrawnCurve:
 
     @classmethod
     def of(cls, samples: Samples) -> DrawnCurve:
-        """Return the polyline; for many samples, the minimum and maximum of each column."""
+        """Return the polyline; for many samples or jumps, the least and largest of each column."""
         t, jumped = samples.t, np.flatnonzero(np.diff(samples.j)) + 1
-        if len(t) <= _DENSE * COLUMNS:
+        if len(t) <= _DENSE * COLUMNS and len(jumped) <= COLUMNS:
             return cls(np.insert(t, jumped, np.nan), None, jumped)
         edges = np.linspace(t[0], t[-1], COLUMNS + 1)[:-1]
         begins = np.unique(np.searchsorted(t, edges))
