@@ -16,8 +16,7 @@ from contacts.dynamics.parameters import MAGNITUDES
 from contacts.scene.checks import MAX_SIZE
 from contacts.scene.joints import Path
 from statechart.arrays import EPS, Array, Ints
-from statechart.automaton.margin_derivatives import derivative
-from statechart.charts.guard_watch import tape_with_sizes
+from statechart.automaton.margin_derivatives import derivative, tape_with_sizes
 from statechart.errors import DeclarationProblem
 from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel

@@ -554,7 +554,9 @@ def _signs_at_rest(snapshot: Snapshot, still_below: float) -> list[int]:
         return []
     arguments, slips, _, limits = snapshot.signs.numbers.T
     slow = np.abs(slips) <= still_below * np.abs(snapshot.signs.rows).max(axis=1, initial=0.0)
-    there = (arguments == slips) | (arguments == 0.0)
+    # A preload holds in its place only; friction has the slip as argument.
+    rates = np.array([one.argument == one.slip for one in snapshot.signs.frictions])
+    there = rates | (arguments == 0.0)
     found: list[int] = np.flatnonzero(slow & there & (limits > 0.0)).tolist()
     return found
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -185,3 +186,17 @@ def derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
     remainder = expression.func(*other_factors)
     side = sp.sign(first - remainder if isinstance(expression, sp.Max) else remainder - first)
     return ((1 + side) * derivative(first, symbol) + (1 - side) * derivative(remainder, symbol)) / 2
+
+
+@lru_cache(4096)
+def tape_with_sizes(
+    expressions: tuple[sp.Expr, ...],
+    inputs: tuple[sp.Symbol, ...],
+    parameters: tuple[sp.Symbol, ...],
+    time: sp.Symbol,
+) -> Tape:
+    """Compile expressions and then the sizes of their terms, in inputs and then their sizes."""
+    sizes = {v: sp.Symbol(f"size_{v.name}", real=True) for v in inputs}
+    outputs = [*expressions, *(rounding_scale(one, sizes) for one in expressions)]
+    variables = (*inputs, *sizes.values())
+    return compile_tape(outputs, variables=variables, parameters=parameters, time=time)

@@ -35,7 +35,7 @@ from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
 from statechart.automaton.margin_derivatives import (
     UNDERFLOW,
     MarginDerivatives,
-    rounding_scale,
+    tape_with_sizes,
     time_derivative,
 )
 from statechart.automaton.regions import (
@@ -56,7 +56,6 @@ from statechart.formulas.formula import parse
 from statechart.formulas.linear import free_symbols
 from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import tape_values
 
 # A margin is zero below this fraction of its terms, for any tolerance of the run.
@@ -239,20 +238,6 @@ class _AtomTapes:
 
 
 _atom_tapes = lru_cache(4096)(_AtomTapes)
-
-
-@lru_cache(4096)
-def tape_with_sizes(
-    expressions: tuple[sp.Expr, ...],
-    inputs: tuple[sp.Symbol, ...],
-    parameters: tuple[sp.Symbol, ...],
-    time: sp.Symbol,
-) -> Tape:
-    """Compile expressions and then the sizes of their terms, in inputs and then their sizes."""
-    sizes = {v: sp.Symbol(f"size_{v.name}", real=True) for v in inputs}
-    outputs = [*expressions, *(rounding_scale(one, sizes) for one in expressions)]
-    variables = (*inputs, *sizes.values())
-    return compile_tape(outputs, variables=variables, parameters=parameters, time=time)
 
 
 class GuardTruths:

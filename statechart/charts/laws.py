@@ -22,7 +22,7 @@ from statechart.automaton.clock import Clock, between
 from statechart.automaton.components import Data, compose_components, split
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, flow_sizes, moving_mode, roles_in
-from statechart.automaton.margin_derivatives import MarginDerivatives
+from statechart.automaton.margin_derivatives import MarginDerivatives, tape_with_sizes
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
 from statechart.automaton.switches import explicit_rates
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
@@ -40,7 +40,6 @@ from statechart.charts.guard_watch import (
     guards,
     guards_at_events,
     restart_periods,
-    tape_with_sizes,
     transition_outcomes,
     values_after,
 )

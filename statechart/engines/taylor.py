@@ -159,9 +159,9 @@ class Taylor(Engine):
         for k, (power, base) in enumerate(zip(stepper.powers, bases.tolist(), strict=True)):
             if stepper.poles[k] and base <= _LEAST_BASE * largest[k]:
                 raise NonFinite(
-                    f"{power} grows without bound at t = {time:.6g}, as the direction to a target "
-                    "has no value there; add stop: {conditions: {NAME: RELATION}} that ends the "
-                    "run before"
+                    f"{power} grows without bound at t = {time:.6g}; add "
+                    "stop: {conditions: {NAME: RELATION}} that ends the run before, as at the "
+                    "target of a pursuit"
                 )
             if not base > _LEAST_BASE:
                 raise Unsupported(
